@@ -30,8 +30,9 @@ from hostile_captures import GOOD, Hostile, capture_cases, write_site
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
 from wbflow.errors import ExitCode, WbflowError
-from wbflow.run.night import plan_run
 from wbflow.run.options import Options
+from wbflow.run.plan import Plan
+from wbflow.run.tonight import read_night
 from wbflow.site.load import load_site
 
 SECONDS = 60.0
@@ -84,7 +85,7 @@ def load(file: Path) -> str:
         with within(time_limit()):
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # all cases share its functions memo
-            plan_run(site, Options()).plan.refresh()
+            Plan(read_night(site, Options())).refresh()
             site.reader.save()
     except WbflowError as error:
         if error.exit_code is not ExitCode.USAGE:

@@ -225,17 +225,6 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
     ]
 
 
-def test_functions_have_at_most_70_lines() -> None:
-    long = {}
-    for file in EVERY_FILE:
-        for node in ast.walk(parsed(file)):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                lines = (node.end_lineno or node.lineno) - node.lineno + 1
-                if lines > 70:
-                    long[f"{file.relative_to(ROOT)}:{node.name}"] = lines
-    assert not long
-
-
 def public_functions(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
     """Public functions, and public methods of public classes, by dotted name."""
     for node in body:

@@ -9,23 +9,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from .cache.atomic import disk_fault
-from .cache.lock import claim
 from .errors import UsageError
 from .records.events import Listener
 from .records.finished_run import Run as Run
-from .records.run_folder import RunFolder, hold_to_write, new_run, refresh
-from .run.journal import Journal
-from .run.loop import terminate_as_interrupt
-from .run.night import plan_run
+from .records.run_folder import RunFolder, refresh
+from .run.life import run_night
 from .run.options import Options
-from .run.publish import repair_ledger, run_pipeline
 from .site.load import load_site as load_site
 from .site.models import Site
 from .words import bytes_of
@@ -96,11 +90,22 @@ def run(
         The work folder cannot be written.
     """
     site = site if isinstance(site, Site) else load_site(site)
-    workers, roots = jobs or os.cpu_count() or 1, tuple(worker_roots)
-    limits = _parse_memory(memory), time_limit, stop_at
-    options = Options(date, workers, until, tuple(force), wait, backend, scheduler, roots, *limits, not_captured or {})
+    options = Options(
+        date=date,
+        jobs=jobs or os.cpu_count() or 1,
+        until=until,
+        force=tuple(force),
+        wait=wait,
+        backend=backend,
+        scheduler=scheduler,
+        worker_roots=tuple(worker_roots),
+        memory=_parse_memory(memory),
+        time_limit=time_limit,
+        stop_at=stop_at,
+        not_captured=not_captured or {},
+    )
     options.check(site)
-    return _run_night(site, options, listen or (lambda event: None))
+    return run_night(site, options, listen or (lambda event: None))
 
 
 def _parse_memory(memory: str | None) -> int | None:
@@ -132,29 +137,3 @@ def open_run(where: Site | str | Path, run_id: str | None = None) -> Run:
     work_folder = (where if isinstance(where, Site) else load_site(where)).work_folder
     refresh(work_folder)
     return Run.at(RunFolder.of(work_folder, run_id))
-
-
-def _run_night(site: Site, options: Options, listen: Listener) -> Run:
-    work_folder = site.work_folder
-    try:
-        with hold_to_write(work_folder, options.wait) as mirror, terminate_as_interrupt():
-            warning = claim(work_folder, site.name, site.file)
-            name, started = new_run(work_folder)
-            journal = Journal(mirror.wrap_listener(listen) if mirror else listen, started)
-            if mirror:
-                journal.upload = mirror.upload_finding
-            if warning:
-                journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
-            for note in site.notes:
-                journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
-            repair_ledger(work_folder, journal)
-            context = plan_run(site, options)
-            for damage in filter(None, (context.digests.damage, context.earlier_captures.damage, site.reader.damage)):
-                journal.note_repair(damage)
-            finished = run_pipeline(name, context, options, journal)
-            if mirror and (fault := mirror.finish()):
-                journal.warn(fault)
-                finished.run_folder.add(journal.events[-1])
-            return finished
-    except OSError as error:
-        raise disk_fault(error, work_folder.root) from error

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..records.events import TaskEvent
 from ..records.ledger import Ledger
-from ..records.reference_folder import BadReference, read_reference
+from ..records.reference import BadReference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder
 from .layout import WorkFolder
 

@@ -92,7 +92,7 @@ class WorkFolder:
         self.reference = self.root / "reference"
         """The reference that nights are compared with, and copies of its artifacts under the same names as in the cache."""
         self.reference_record = self.reference / "reference.json"
-        """The record of what is pinned (see `records.reference_folder`)."""
+        """The record of what is pinned (see `records.reference`)."""
         self.reference_twin = self.reference / "reference-twin.json"
         """A second copy of the record, used if the first is missing or damaged."""
         self.quarantine = self.root / "quarantine"

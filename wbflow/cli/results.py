@@ -245,7 +245,7 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     wbflow pin site.yaml --list
     """
     from ..cache.store import Cache
-    from ..records.reference_folder import drop_reference, read_reference
+    from ..records.reference import drop_reference, read_reference
     from ..records.run_folder import hold_to_write
     from ..reference import create
 
@@ -272,7 +272,7 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
 
 def _refine_reference(site: Site) -> None:
     from ..cache.store import Cache
-    from ..records.reference_folder import read_reference
+    from ..records.reference import read_reference
     from ..reference.aggregate import aggregate_nights
     from ..reference.restore import restore
 

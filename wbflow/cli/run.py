@@ -269,15 +269,16 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
     from ..commands.status import explain
-    from ..run.night import plan_run
     from ..run.options import Options
+    from ..run.plan import Plan
+    from ..run.tonight import read_night
 
     options = Options(date, until=until, force=force)
     options.check(site)
-    plan = plan_run(site, options).plan
+    plan = Plan(read_night(site, options))
     plan.refresh()
-    if plan.incompatible:
-        echo(f"the reference is not used: {plan.incompatible}", err=True)
+    if plan.night.reference_fault:
+        echo(f"the reference is not used: {plan.night.reference_fault}", err=True)
     return explain(plan)
 
 

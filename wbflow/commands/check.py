@@ -17,8 +17,9 @@ from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..run.night import RunContext, plan_run
+from ..run.night import Night
 from ..run.options import Options
+from ..run.tonight import read_night
 from ..site.captures import CaptureFile, expected
 from ..site.models import Camera, Site
 from ..words import printable
@@ -54,7 +55,7 @@ def check(site: Site, date: datetime.date | None) -> list[Fault]:
     machine = check_machine()
     if machine:
         return machine + _disk(site)
-    return [*check_captures(site, plan_run(site, Options(date))), *_disk(site), *check_published(site.work_folder)]
+    return [*check_captures(site, read_night(site, Options(date))), *_disk(site), *check_published(site.work_folder)]
 
 
 def exit_code(findings: Iterable[Fault]) -> ExitCode:
@@ -62,7 +63,7 @@ def exit_code(findings: Iterable[Fault]) -> ExitCode:
     return min((fault.code for fault in findings if fault.severity == "error"), default=ExitCode.GOOD)
 
 
-def check_captures(site: Site, context: RunContext) -> list[Fault]:
+def check_captures(site: Site, night: Night) -> list[Fault]:
     """Does each camera have captures, all readable and of the size that its intrinsics are for?"""
     faults = []
     if len(site.cameras) < 2:
@@ -71,9 +72,9 @@ def check_captures(site: Site, context: RunContext) -> list[Fault]:
     for number, camera in enumerate(site.cameras):
         line, column = site.document.place(("cameras", number))
         where = f"{site.file}:{line}:{column}: camera {camera.id}"
-        files = context.plan.captures[camera.id]
+        files = night.files.captures[camera.id]
         if not files:
-            what = f"{where}: there is no capture {expected(site, camera, context.date)}"
+            what = f"{where}: there is no capture {expected(site, camera, night.date)}"
             faults.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
         for file in files:
             try:

@@ -16,11 +16,11 @@ from ..errors import UsageError
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
 from ..plugins import load, make_importable
 from ..run.executors import THREADS
-from ..run.night import plan_run
 from ..run.options import Options
 from ..run.plan import Plan
 from ..run.spec import Input, Stored, TaskSpec
 from ..run.state import Impossible, Waiting
+from ..run.tonight import read_night
 from ..run.worker import arguments_of
 from ..site.models import Site
 from ..site.yaml_document import suggest
@@ -62,15 +62,15 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     date : date, optional
         The night; the newest with captures, if not given.
     """
-    context = plan_run(site, Options(date))
-    plan = context.plan
+    plan = Plan(read_night(site, Options(date)))
     plan.refresh()
+    cache = plan.night.cache
     spec = _spec(plan, task)
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     make_importable(spec.folder)
-    values = arguments_of(spec, plan.cache)
-    entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, plan.cache) for name, value in values.items()}
-    receipt, state = plan.cache.by_key(task, spec.preimage().key()), plan.states.get(task)
+    values = arguments_of(spec, cache)
+    entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, cache) for name, value in values.items()}
+    receipt, state = cache.by_key(task, spec.preimage().key()), plan.states.get(task)
     ended: dict[str, str | None] = {"outcome": "not run", "reason": None, "digest": None}
     if receipt:
         ended = {"outcome": receipt.outcome, "reason": receipt.reason, "digest": receipt.digest if receipt.file else None}
@@ -80,7 +80,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     description: dict[str, Any] = {
         "stage": task.stage,
         "subject": list(task.subject),
-        "night": str(context.date),
+        "night": str(plan.night.date),
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": entries,
@@ -88,7 +88,7 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "folder": str(spec.folder) if spec.folder else None,
     }
     module, _, name = spec.function.partition(":")
-    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=context.date, module=module, name=name))
+    (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=plan.night.date, module=module, name=name))
     (out / TASK_FILE).write_text(json.dumps(description, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
 
@@ -103,18 +103,18 @@ def _spec(plan: Plan, task: Task) -> TaskSpec:
         stage_tasks = [str(t) for t in known if t.stage == task.stage]
         listed = ", ".join(stage_tasks[:20]) or f"there is none of the stage {task.stage}"
         remedy = suggest(str(task), stage_tasks, f"there are: {listed}")
-        raise UsageError(f"the night of {plan.night} has no task '{task}'", remedy=remedy)
+        raise UsageError(f"the night of {plan.night.date} has no task '{task}'", remedy=remedy)
     try:
         return plan.spec_of(task)
     except Waiting as waiting:
         raise _waiting_error(plan, task, waiting.task or Task(PAIRS)) from None
     except Impossible as impossible:
-        remedy = f"wbflow status {plan.site.file}  says what each task waits for"
+        remedy = f"wbflow status {plan.night.site.file}  says what each task waits for"
         raise UsageError(f"'{task}' has nothing to work on: {impossible}", remedy=remedy) from None
 
 
 def _waiting_error(plan: Plan, task: Task, needed: Task) -> UsageError:
-    remedy = f"first: wbflow run {plan.site.file} --date {plan.night} --until {needed.stage}"
+    remedy = f"first: wbflow run {plan.night.site.file} --date {plan.night.date} --until {needed.stage}"
     return UsageError(f"'{task}' waits for '{needed}', which has not been made yet", remedy=remedy)
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from ..cache.store import Preimage, Receipt
-from ..pipeline.stages import PAIRS, stage_named
+from ..pipeline.stages import PAIRS
 from ..run.plan import Plan
 from ..task import Task
 
@@ -52,15 +52,15 @@ def explain(plan: Plan) -> Status:
             costs.setdefault(task.stage, []).append(state.receipt.cpu)
     mean_costs = {stage: sum(values) / len(values) for stage, values in costs.items()}
     for task in (*plan.ready, *plan.waiting):
-        last = plan.cache.newest(task)
+        last = plan.night.cache.newest(task)
         seconds = last.cpu if last else mean_costs.get(task.stage)
         lines[task] = Line(str(task), "would run", _why(plan, task, last), seconds)
-    order = {stage.name: number for number, stage in enumerate(plan.stages)}
+    order = {stage.name: number for number, stage in enumerate(plan.night.stages)}
     ordered = tuple(lines[task] for task in sorted(lines, key=lambda task: order[task.stage]))
     expected = [line.seconds for line in ordered if line.seconds is not None]
-    pairs_to_come = stage_named(PAIRS) in plan.stages and None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
+    pairs_to_come = plan.night.takes_part(PAIRS) and None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
     totals = dict(Counter(line.state for line in ordered))
-    return Status(plan.site.name, plan.night, ordered, totals, sum(expected) if expected else None, pairs_to_come)
+    return Status(plan.night.site.name, str(plan.night.date), ordered, totals, sum(expected) if expected else None, pairs_to_come)
 
 
 def _why(plan: Plan, task: Task, last: Receipt | None) -> str:

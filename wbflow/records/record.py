@@ -182,7 +182,7 @@ class RunRecord(JsonDataclass):
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of Python and of the stages' libraries, by name; empty in runs of earlier versions."""
     reference: str | None = None
-    """Id of the reference's run, if the run was compared with a reference (see `records.reference_folder`)."""
+    """Id of the reference's run, if the run was compared with a reference (see `records.reference`)."""
     results: Annotated[Mapping[str, SiteSummary], Field(exclude=True)] = field(default_factory=dict)
     """Summaries of site-wide stages, by stage; in run.json each one is a top-level entry under its stage's name."""
 

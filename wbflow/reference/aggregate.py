@@ -12,11 +12,14 @@ from collections.abc import Mapping
 
 from ..cache.artifact import bytes_and_facts
 from ..cache.layout import WorkFolder
+from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
-from ..records.reference_folder import Reference, write_reference
+from ..records.reference import Reference, write_reference
 from ..records.run_folder import NoSuchRun, newest_runs
+from ..run.bindings import Bindings, stages_of
+from ..run.night import Night, NightFiles
 from ..run.plan import Plan
 from ..run.state import Impossible, Waiting, cached_state
 from ..run.worker import run_chain
@@ -36,7 +39,7 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
     The caller holds the lock.  Raises CannotPin if too few nights were compared with the reference; OSError.
     """
     cache, nights = Cache(work), _keys_by_night(work, reference)
-    plan = Plan(site, {}, reference.date, cache)
+    plan = Plan(_night_of(reference, site, cache))
     for task, pinned in reference.artifacts.items():
         if receipt := cache.by_key(task, pinned.key):
             plan.commit(task, cached_state(receipt))
@@ -57,6 +60,12 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
     write_reference(cache, updated, [receipt for receipt in all_receipts if receipt])
     site.reader.save()
     return counts
+
+
+def _night_of(reference: Reference, site: Site, cache: Cache) -> Night:
+    """The reference's own night, without its captures."""
+    files = NightFiles({}, {}, Digests(cache.work.captures_memo), EarlierCaptures(cache.work.delivered_memo))
+    return Night(site, datetime.date.fromisoformat(reference.date), stages_of(site), Bindings(site), cache, files)
 
 
 def _keys_by_night(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
@@ -105,7 +114,7 @@ def _comparable_receipts(plan: Plan, task: Task, nights: Mapping[str, Mapping[Ta
     date_of_key = {keys[task]: date for date, keys in nights.items() if task in keys}
     comparable = {}
     for key, date in date_of_key.items():
-        receipt = plan.cache.by_key(task, key)
+        receipt = plan.night.cache.by_key(task, key)
         if receipt is None or receipt.preimage.function == stage.reuse.aggregate:
             continue
         if [receipt.preimage.inputs.get(name) for name in pose_inputs] == reference_poses:
@@ -119,7 +128,7 @@ def _derived_results(plan: Plan, pooled: Receipt) -> list[Receipt] | None:
     plan.commit(task, cached_state(pooled))
     for name in _dependents(stage_named(task.stage)):
         try:
-            (done,) = run_chain([plan.spec_of(Task(name, task.subject))], plan.cache)
+            (done,) = run_chain([plan.spec_of(Task(name, task.subject))], plan.night.cache)
         except (Waiting, Impossible):
             return None
         if done.state.receipt is None or done.state.receipt.outcome != "ran":
@@ -130,12 +139,13 @@ def _derived_results(plan: Plan, pooled: Receipt) -> list[Receipt] | None:
 
 def _pool(plan: Plan, task: Task, receipts: Mapping[str, Receipt]) -> Receipt | None:
     """Pool the results of nights, and store the result in the cache; None if one of them is damaged."""
-    cache, stage = plan.cache, stage_named(task.stage)
+    cache, stage = plan.night.cache, stage_named(task.stage)
     function = stage.reuse.aggregate
     first = next(iter(receipts.values()))
     stage_inputs = {name: digest for name, digest in first.preimage.inputs.items() if name in stage.inputs}
     inputs = {**stage_inputs, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
-    preimage = Preimage(task.stage, task.subject, function, plan.site.reader.code(function), first.preimage.parameters, inputs)
+    code = plan.night.site.reader.code(function)
+    preimage = Preimage(task.stage, task.subject, function, code, first.preimage.parameters, inputs)
     key = preimage.key()
     if existing := cache.by_key(task, key):
         return existing

@@ -5,52 +5,50 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, Adapt, Stage
-from ..records.reference_folder import Reference
+from ..records.reference import Reference
+from ..run.night import Night
 from ..run.spec import Files, input_digests, site_input
 from ..site.calibration.calibrated import Lens
 from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
 
-if TYPE_CHECKING:
-    from ..run.plan import Plan
-
-
 _COMPARED = {"lens", "placement", "survey"}
 
 
-def incompatibility(reference: Reference, plan: Plan) -> str:
+def incompatibility(reference: Reference, night: Night) -> str:
     """Return why the reference can no longer be used after changes of the site file, as text; "" if it can.
 
     Code may change: a reference survives a new version.  The site file's entries for cameras, and for the stages whose results
-    are reused from the reference, may not.  plan: the plan of the site as it is now.
+    are reused from the reference, may not.  night: one of the site as it is now.
     """
-    ids = {camera.id for camera in plan.site.cameras}
+    ids = {camera.id for camera in night.site.cameras}
     if differing := sorted(ids ^ set(reference.cameras)):
         return f"cameras have come or gone since it was pinned: {', '.join(differing)}"
-    for stage in plan.stages:
+    for stage in night.stages:
         if not (stage.reuse.shifted or stage.name == FRAMES):
             continue
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         for task in tasks if stage.scope == "camera" else tasks[:1]:
-            receipt = plan.cache.by_key(task, reference.artifacts[task].key)
-            if receipt and (change := _change_since(receipt, stage, plan)):
+            receipt = night.cache.by_key(task, reference.artifacts[task].key)
+            if receipt and (change := _change_since(receipt, stage, night)):
                 return f"it was pinned with {change}"
     return ""
 
 
-def _change_since(receipt: Receipt, stage: Stage, plan: Plan) -> str:
+def _change_since(receipt: Receipt, stage: Stage, night: Night) -> str:
     """What a result of the reference was made with, if the site file has changed that: a function, parameter or input."""
-    pinned, binding = receipt.preimage, plan.binding(stage)
+    pinned = receipt.preimage
+    binding = night.bindings.of(stage)
     if any(isinstance(rule, Adapt) and rule.function == pinned.function for rule in (stage.reuse.shifted, stage.reuse.moved)):
         return ""  # it was derived from the result of an earlier reference
     if pinned.function not in {binding.function.dotted, stage.reuse.aggregate}:
         return f"other settings: {stage.name}: function {pinned.function} → {binding.function.dotted}"
-    stated = plan.settings(stage, pinned.task)
+    stated = night.bindings.stated(stage)
     for name, value in {**binding.defaults(), **stated}.items():
         is_new = name not in pinned.parameters
         # a new parameter with its default changes nothing
@@ -58,11 +56,11 @@ def _change_since(receipt: Receipt, stage: Stage, plan: Plan) -> str:
             return f"other settings: parameter {stage.name}.{name} {pinned.parameters.get(name)} → {value}"
     for name, need in binding.inputs.items():
         if need.kind == "file":
-            file = plan.named_files.get(file_of_stage(stage.name, name))
+            file = night.files.named.get(file_of_stage(stage.name, name))
             if file and pinned.inputs.get(name) != Files((file,)).digest:
                 return f"another {name} in {stage.name}"
         elif need.kind == "site" and need.name in _COMPARED:
-            value = site_input(plan.site, need, pinned.task)
+            value = site_input(night.site, need, pinned.task)
             if value is None:
                 return f"other settings: the views of camera {camera_of(pinned.subject[0])}"
             for entry, digest in input_digests({name: value}).items():

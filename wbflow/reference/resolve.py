@@ -7,24 +7,24 @@ stage `health` finds that out for each camera.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ..cache.layout import WorkFolder
 from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
+from ..records.reference import Reference
 from ..records.run_folder import last_of_nights, newest_runs
+from ..run.night import Night
 from ..run.spec import Input, Joined, Stored, Value, stored_input
-from ..run.state import Cause, Impossible, Waiting, blocked_by, summary_of
+from ..run.state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
 from .restore import restore_to_cache
-
-if TYPE_CHECKING:
-    from ..run.plan import Plan
 
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
@@ -61,8 +61,11 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
 class Resolver:
     """Decides what tonight's plan reuses of the reference."""
 
-    plan: Plan
-    """Tonight's plan; its states and its reference change during the run."""
+    night: Night
+    states: Mapping[Task, State]
+    """States of the tasks that have ended; the plan's own dictionary, which changes."""
+    reference: Reference | None = field(init=False)
+    """The reference, without the artifacts that were lost during the run."""
     _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
     """Health by view, for the views that were examined tonight."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
@@ -71,8 +74,10 @@ class Resolver:
     """Are the poses of at least `FEWEST` cameras known from the reference?  None until the health of all is known."""
 
     def __post_init__(self) -> None:
-        self.cameras = [view.id for view in self.plan.site.views]  # ids of all views
-        forced = {name.split(" ")[0] for name in self.plan.force}
+        self.reference = self.night.reference
+        self.cameras = [view.id for view in self.night.site.views]
+        """Ids of all views."""
+        forced = {name.split(" ")[0] for name in self.night.force}
         self._forced = {name for name in forced if stage_named(name).reuse.shifted}
         """Stages with tasks that are forced to run again, and whose results the reference would provide otherwise."""
 
@@ -81,28 +86,28 @@ class Resolver:
 
         It is absent or empty without a reference, or if tonight's frames are the reference's own.
         """
-        if self.plan.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
+        if self.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if need.joins else None
         if need.kind == "history":
             return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))
         if not need.joins:
             wanted = stored_input(need, task)
             return wanted.resolved(self._receipt(wanted.task))
-        pinned = [pinned for pinned in self.plan.reference.artifacts if pinned.stage == need.name]
+        pinned = [pinned for pinned in self.reference.artifacts if pinned.stage == need.name]
         results = {upstream.subject: Stored(upstream, need.part).resolved(self._receipt(upstream)) for upstream in pinned}
         return Joined({subject: result for subject, result in results.items() if result})
 
     @cached_property
     def _shift_history(self) -> dict[str, dict[str, list[float]]]:
-        reference = self.plan.reference
-        return shift_history(self.plan.cache.work, self.plan.night, reference.run) if reference else {}
+        reference = self.reference
+        return shift_history(self.night.cache.work, str(self.night.date), reference.run) if reference else {}
 
     def replacement(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What replaces the computation of a task: the reference's result, or another function; None for neither.
 
         Raises Waiting while the health of a camera is not known, Impossible if a camera shows nothing of the site.
         """
-        if stage.reuse.shifted is None or self.plan.reference is None or stage_named(HEALTH) not in self.plan.stages:
+        if stage.reuse.shifted is None or self.reference is None or not self.night.takes_part(HEALTH):
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
@@ -116,7 +121,7 @@ class Resolver:
 
     def state_of(self, camera: str) -> str:
         """The state of a view: its own if it shows nothing of the site, else that of its camera.  Raises Waiting."""
-        if health := self.plan.stale.get(camera_of(camera)):
+        if health := self.night.stale.get(camera_of(camera)):
             return health.state
         own_state = self._own_state(camera)
         if own_state in USELESS:
@@ -127,12 +132,12 @@ class Resolver:
     def _own_state(self, view: str) -> str:
         """The state of a view, without that of other views of its camera.  Raises Waiting."""
         task = Task(HEALTH, (view,))
-        state = self.plan.states.get(task)
+        state = self.states.get(task)
         if state is None:
             raise Waiting(task)
         if health := self._healths.get(view):
             return health.state
-        frame = self.plan.states.get(Task(FRAMES, (view,)))
+        frame = self.states.get(Task(FRAMES, (view,)))
         return "ok" if frame and frame.usable else "obscured"
 
     def health(self, camera: str) -> Health | None:
@@ -140,7 +145,7 @@ class Resolver:
 
         Of several views, the first that shows the site and is not ok decides, else the first that shows it, else the first.
         """
-        if stale := self.plan.stale.get(camera_of(camera)):
+        if stale := self.night.stale.get(camera_of(camera)):
             return stale
         healths = [self._healths[view] for view in self._views[camera_of(camera)] if view in self._healths]
         useful = [health for health in healths if health.state not in USELESS]
@@ -157,11 +162,11 @@ class Resolver:
     def is_useless(self, view: str) -> bool:
         """Is it known that a view shows nothing of the site tonight?"""
         health = self._known_health(view)
-        return self.plan.reference is not None and health is not None and health.state in USELESS
+        return self.reference is not None and health is not None and health.state in USELESS
 
     def _known_health(self, view: str) -> Health | None:
         """The health of a view: that of its camera if this is stale, else what was found tonight; None if nothing was."""
-        return self.plan.stale.get(camera_of(view)) or self._healths.get(view)
+        return self.night.stale.get(camera_of(view)) or self._healths.get(view)
 
     def unfit_error(self, subject: Subject) -> Impossible:
         """Why a task is impossible: a camera of its subject shows nothing of the site."""
@@ -169,17 +174,17 @@ class Resolver:
         if health := self._known_health(camera):
             return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (camera,))
-        return blocked_by(frame, self.plan.states[frame])
+        return blocked_by(frame, self.states[frame])
 
     def task_ended(self, task: Task) -> None:
         """Record the health of a camera, if the task that has ended determined it."""
-        state = self.plan.states[task]
+        state = self.states[task]
         if task.stage == HEALTH and state.usable:
             self._healths[task.subject[0]] = summary_of(state, HealthSummary)
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """Record whether a camera's frame tonight, by its cache key, is the reference's own."""
-        pinned = self.plan.reference.artifacts.get(Task(FRAMES, subject)) if self.plan.reference else None
+        pinned = self.reference.artifacts.get(Task(FRAMES, subject)) if self.reference else None
         if pinned and pinned.key == key:
             self._own_frames.update(subject)
         else:
@@ -190,12 +195,13 @@ class Resolver:
         self._poses_suffice = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
-        reference, cache = self.plan.reference, self.plan.cache
+        reference = self.reference
+        cache = self.night.cache
         if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
             if restore_to_cache(cache.work, pinned):
                 return
             remaining = {t: p for t, p in reference.artifacts.items() if t != task}
-            self.plan.reference = dataclasses.replace(reference, artifacts=remaining)
+            self.reference = dataclasses.replace(reference, artifacts=remaining)
             self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
 
     def _use(self, reuse: Reuse, task: Task) -> Literal["reuse", "recompute"] | Adapt | None:
@@ -225,7 +231,7 @@ class Resolver:
 
     def _pose_state(self, camera: str) -> Literal["still", "turned", "lost"]:
         """Is a camera's pose that of the reference ("still"), derived from it, or unknown?  Raises Waiting."""
-        if self.plan.reference is None or camera_of(camera) not in self.plan.reference.placed:
+        if self.reference is None or camera_of(camera) not in self.reference.placed:
             return "lost"
         state = self.state_of(camera)
         if any(health.corrected for view in self._views[camera_of(camera)] if (health := self._healths.get(view))):
@@ -239,5 +245,5 @@ class Resolver:
         return self._poses_suffice
 
     def _receipt(self, task: Task) -> Receipt | None:
-        pinned = self.plan.reference.artifacts.get(task) if self.plan.reference else None
-        return self.plan.cache.by_key(task, pinned.key) if pinned else None
+        pinned = self.reference.artifacts.get(task) if self.reference else None
+        return self.night.cache.by_key(task, pinned.key) if pinned else None

@@ -1,70 +1,13 @@
-"""Restores results that the reference or the cache has lost, from the other one: before a run, and when a reader finds damage."""
+"""Restores results that the reference or the cache has lost, from the other one."""
 
 from __future__ import annotations
-
-import os
-from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from ..cache.atomic import clear, write_atomic
 from ..cache.checksum import Damaged, read_checksummed, sha256_of
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
-from ..cache.untrusted import Unreadable, read_untrusted
-from ..records.reference_folder import BadReference, PinnedArtifact, Reference, files_of, read_record
+from ..records.reference import PinnedArtifact, Reference, files_of
 from ..task import Task
-
-if TYPE_CHECKING:
-    from ..run.journal import Journal
-    from ..run.night import RunContext
-
-
-def prepare(context: RunContext, journal: Journal) -> None:
-    """Restore the results of the reference, and warn if it cannot be used.  The caller holds the lock."""
-    plan, work = context.plan, context.plan.cache.work
-    fault = repair_record(work) if plan.site.settings.pin != "none" else None
-    if fault:
-        journal.note_repair(fault)
-    if plan.incompatible and not fault:
-        what = f"the reference is not used: {plan.incompatible}"
-        remedy = "this night recomputes everything; wbflow pin SITE.yaml  makes a good night the reference"
-        journal.warn(what, remedy=remedy)
-    if plan.reference is None:
-        return
-    to_cache, copied, lost = restore(plan.cache, plan.reference)
-    for tasks, action in ((to_cache, "put back from the reference"), (copied, "copied to the reference again")):
-        if tasks:
-            journal.note_repair(f"{len(tasks)} results of the reference were missing ({tasks[0]}, ...): {action}")
-    for task in lost:
-        what = f"'{task}' of the reference is damaged, or gone"
-        journal.warn(what, remedy="the run continues without it; wbflow pin SITE.yaml  creates a complete reference")
-
-
-def repair_record(work: WorkFolder) -> str | None:
-    """Restore the record of the reference or its twin from the intact one; returns what was wrong, as text, or None.
-
-    If neither is intact, both are removed, so that the next good night is pinned.  The caller holds the lock.
-    Raises OSError.
-    """
-    record, twin = work.reference_record, work.reference_twin
-    intact, fault = None, None
-    for path in (record, twin):
-        try:
-            intact = intact or (path if read_record(path) else None)
-        except BadReference as error:
-            fault = error.what
-    if intact is None:
-        for path in (record, twin):
-            clear(path)
-        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    counterpart, data = (twin if intact is record else record), read_untrusted(intact)
-    with suppress(Unreadable):
-        if read_untrusted(counterpart) == data:
-            return None
-    fault = fault or f"{counterpart} is {'not as it was' if os.path.lexists(counterpart) else 'gone'}"
-    clear(counterpart)
-    write_atomic(counterpart, data)
-    return f"{fault}: taken from {intact.name}"
 
 
 def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:

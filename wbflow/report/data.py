@@ -15,7 +15,7 @@ from ..pipeline.stages import CHANGES, FRAMES
 from ..pipeline.summaries import Change
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
-from ..records.reference_folder import BadReference, Reference, read_reference
+from ..records.reference import BadReference, Reference, read_reference
 from ..records.run_folder import NoSuchRun, RunFolder, last_of_nights, newest_runs
 from ..site.models import Site
 from ..task import Task, view_name

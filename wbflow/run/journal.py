@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import datetime
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+from ..cache.store import Damage, Receipt
 from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
-
-if TYPE_CHECKING:
-    from .plan import Plan
+from .state import State
 
 
 @dataclass
@@ -34,11 +32,9 @@ class Journal:
     _wall_start: float = field(default_factory=time.perf_counter)
     _cpu_start: float = field(default_factory=time.process_time)
 
-    def add_ended(self, plan: Plan) -> None:
-        """Add an event for each task that has ended since the last call, and for damage that was found in the cache."""
-        for damage in plan.cache.damages():
-            self.note_repair(f"{damage.what}: made again", task=damage.task)
-        for task, state in plan.newly_ended():
+    def add_ended(self, ended: Iterable[tuple[Task, State]]) -> None:
+        """Add an event for each task that has ended, and count what it cost."""
+        for task, state in ended:
             receipt = state.receipt
             key = receipt.key if receipt else None
             cpu = round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None
@@ -46,10 +42,14 @@ class Journal:
                 TaskEvent(task, state.outcome, now(), state.fresh, state.reason, state.code, key=key, cpu=cpu, trace=state.trace)
             )
             if state.fresh and receipt:
-                previous = self._stages.get(task.stage, StageSeconds(0.0, 0.0, 0))
-                wall, cpu = previous.wall + receipt.wall, previous.cpu + receipt.cpu
-                self._stages[task.stage] = StageSeconds(wall, cpu, previous.tasks + 1)
-                self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
+                self._count(task.stage, receipt)
+
+    def _count(self, stage: str, receipt: Receipt) -> None:
+        previous = self._stages.get(stage, StageSeconds(0.0, 0.0, 0))
+        wall = previous.wall + receipt.wall
+        cpu = previous.cpu + receipt.cpu
+        self._stages[stage] = StageSeconds(wall, cpu, previous.tasks + 1)
+        self.peak_rss_mb = max(self.peak_rss_mb, receipt.peak_rss_mb)
 
     def warn(self, what: str, *, task: Task | None = None, remedy: str = "", trace: str | None = None) -> None:
         """Add a warning of a problem that the run has survived.
@@ -63,6 +63,11 @@ class Journal:
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
 
+    def note_damage(self, damages: Iterable[Damage]) -> None:
+        """Add warnings of damage that was found in the cache."""
+        for damage in damages:
+            self.note_repair(f"{damage.what}: made again", task=damage.task)
+
     def note_repair(self, what: str, *, task: Task | None = None) -> None:
         """Add a warning of repaired damage on disk, once for each text.  task: the task whose file was damaged."""
         if what not in self.repairs:
@@ -71,7 +76,8 @@ class Journal:
 
     def seconds(self, own_process: bool) -> Seconds:
         """Return the costs of the run until now.  own_process: tasks ran in this process, whose CPU time includes theirs."""
-        wall, cpu = time.perf_counter() - self._wall_start, time.process_time() - self._cpu_start
+        wall = time.perf_counter() - self._wall_start
+        cpu = time.process_time() - self._cpu_start
         if not own_process:
             cpu += sum(stage.cpu for stage in self._stages.values())
         return Seconds(wall, cpu, self._stages)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import datetime
-import signal
-import threading
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,29 +14,31 @@ from ..records.events import PlannedEvent
 from ..task import Task
 from .dispatch import Dispatcher
 from .journal import Journal
-from .night import RunContext
 from .options import Options
+from .plan import Plan
 from .state import Cause, State
 
 MOST_ATTEMPTS = 3
 """In one run, a damaged artifact is made again, and a changed file read again, at most this often."""
 
 
-def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[Task, bytes] | None:
+def run_tasks(plan: Plan, options: Options, journal: Journal) -> dict[Task, bytes] | None:
     """Run all tasks; return the artifacts to publish by task, after checking their digests; None if the run was interrupted.
 
-    The caller holds the lock.  context: its plan is not yet refreshed.  journal: receives all events.
+    The caller holds the lock.  plan: not yet refreshed.  journal: receives all events.
     """
-    dispatcher = Dispatcher(options, context.plan.cache, journal)
+    night = plan.night
+    dispatcher = Dispatcher(options, night.cache, journal)
+    loop = _Loop(plan, dispatcher, journal, options.stop_at)
     try:
-        return _Loop(context, dispatcher, journal, options.stop_at).run()
+        return loop.run()
     except KeyboardInterrupt:
         return None
     finally:
         dispatcher.stop()
-        journal.add_ended(context.plan)
+        loop.note_ended()
         try:
-            for memo in (context.digests, context.earlier_captures, context.plan.site.reader):
+            for memo in (night.files.digests, night.files.earlier, night.site.reader):
                 memo.save()
         except OSError as error:  # the next run only takes longer
             journal.warn(f"digests of captures and signatures of functions could not be saved: {error}")
@@ -50,7 +48,7 @@ def run_tasks(context: RunContext, options: Options, journal: Journal) -> dict[T
 class _Loop:
     """Runs all tasks of a plan."""
 
-    context: RunContext
+    plan: Plan
     dispatcher: Dispatcher
     journal: Journal
     stop_at: datetime.datetime | None
@@ -60,18 +58,18 @@ class _Loop:
 
     def run(self) -> dict[Task, bytes]:
         """Run all tasks; return the artifacts to publish."""
-        plan = self.context.plan
+        plan = self.plan
         self.journal.listen(PlannedEvent(plan.counts()))
         while True:
             plan.refresh()
             if self.stop_at and datetime.datetime.now() >= self.stop_at:
                 self._stop(self.stop_at)
-            self.journal.add_ended(plan)
+            self.note_ended()
             self.journal.listen(PlannedEvent(plan.counts()))
             chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
             if chains:
                 tasks = [spec.task for chain in chains for spec in chain]
-                if shortage := self.dispatcher.limits.disk_shortage(plan.cache.work.root, tasks):
+                if shortage := self.dispatcher.limits.disk_shortage(plan.night.cache.work.root, tasks):
                     for first, *_ in chains:
                         plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
                     continue
@@ -85,6 +83,11 @@ class _Loop:
             except DamagedArtifact as damage:
                 self._make_again(damage.task, damage.what)
 
+    def note_ended(self) -> None:
+        """Tell the journal which tasks have ended, and what was found damaged in the cache, since the last call."""
+        self.journal.note_damage(self.plan.night.cache.damages())
+        self.journal.add_ended(self.plan.newly_ended())
+
     def _collect(self) -> None:
         for chain, ended in self.dispatcher.wait():
             for done in ended:
@@ -93,12 +96,12 @@ class _Loop:
                 elif done.changed is not None:
                     self._reread(done.task, done.changed, done.state.reason or "")
                 else:
-                    self.context.plan.commit(done.task, done.state)
-            self.context.plan.release(spec.task for spec in chain)
+                    self.plan.commit(done.task, done.state)
+            self.plan.release(spec.task for spec in chain)
 
     def _stop(self, stop_time: datetime.datetime) -> None:
         """End running tasks, and skip ready ones, except depth maps and site-wide stages, which join existing results."""
-        plan = self.context.plan
+        plan = self.plan
         if not self.stopped:
             self.stopped = True
             self.dispatcher.stop()
@@ -111,7 +114,7 @@ class _Loop:
 
     def _make_again(self, task: Task, reason: str) -> None:
         """Have a damaged artifact made again.  Each of its readers reports the damage, but it counts once."""
-        plan = self.context.plan
+        plan = self.plan
         if task not in plan.states:
             return
         self._attempts[task] += 1
@@ -127,34 +130,17 @@ class _Loop:
         self._attempts[file] += 1
         if self._attempts[file] > MOST_ATTEMPTS:
             explanation = f"{file} keeps changing: is it still being written?"
-            self.context.plan.commit(task, State("failed", explanation, Cause.BAD_INPUT))
+            self.plan.commit(task, State("failed", explanation, Cause.BAD_INPUT))
             return
         self.journal.warn(f"{reason}; its present content is used", task=task)
-        self.context.reread(file)
+        self.plan.night.files.reread(file)
+        self.plan.relist()
 
     def _products(self) -> dict[Task, bytes]:
         """The artifacts to publish: poses and clouds.  Raises DamagedArtifact."""
-        cache, products = self.context.plan.cache, {}
-        for task, state in self.context.plan.states.items():
+        cache = self.plan.night.cache
+        products = {}
+        for task, state in self.plan.states.items():
             if task.stage in {POSES, FUSE} and state.usable and state.receipt:
                 products[task] = cache.read(task, cache.path(state.receipt), state.receipt.digest)
         return products
-
-
-@contextmanager
-def terminate_as_interrupt() -> Iterator[None]:
-    """Treat SIGTERM (systemd, cron's timeout) and SIGHUP (closed terminal) as Ctrl-C: the run ends, finished work is kept."""
-
-    def interrupt(signum: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
-        yield
-        return
-    signals = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    old_handlers = {number: signal.signal(number, interrupt) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in old_handlers.items():
-            signal.signal(number, handler)

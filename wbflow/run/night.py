@@ -1,91 +1,103 @@
-"""The start of a run: the captures of its night, and its plan.  `run`, `status` and `check` begin here."""
+"""The facts of one run: its site, its night, the files of that night, and the reference that they are compared with.
+
+`tonight.read_night` finds these facts; they stay as they are until the run ends.  Only files may be replaced while a run reads
+them (`NightFiles`).
+"""
 
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
-from ..records.reference_folder import BadReference, read_reference
-from ..site.captures import changes_of, expected, find_captures, find_named, list_store, night, when_complete, with_current_digest
+from ..pipeline.stages import Stage
+from ..records.findings import Health
+from ..records.reference import Reference
+from ..site.captures import CaptureFile, changes_of, with_current_digest
 from ..site.models import Site
-from ..site.stale_cameras import find_stale
-from .options import Options
-from .plan import Plan
+from .bindings import Bindings
 
 
 @dataclass
-class RunContext:
-    """A site on one night: the plan for its captures, and the memos about these."""
+class NightFiles:
+    """The files that a night's tasks read, with their digests."""
 
-    date: datetime.date
+    captures: dict[str, list[CaptureFile]]
+    """Captures by camera; cameras without any have an empty list."""
+    named: dict[str, CaptureFile]
+    """Masks, models and other files that the site file names, by the key under which it names them."""
     digests: Digests
-    """Saved at the end of a run."""
-    earlier_captures: EarlierCaptures
-    """Saved at the end of a run."""
-    notes: dict[str, str]
-    """Remarks about captures, by camera."""
-    plan: Plan
-    replaced: set[Path] = field(default_factory=set)
-    """Files that were found to have changed after their digests were taken."""
+    """Digests of files on disk; saved at the end of a run."""
+    earlier: EarlierCaptures
+    """Digests of the captures of earlier nights; saved at the end of a run."""
     growing: frozenset[Path] = frozenset()
     """Captures that were still being written when the run began."""
+    replaced: set[Path] = field(default_factory=set)
+    """Files that were found to have changed after their digests were taken."""
 
     def reread(self, path: Path) -> None:
-        """Take a new digest of a file that has changed; the plan continues with its present content."""
+        """Take a new digest of a file that has changed."""
         self.replaced.add(path)
         self.digests.forget(path)
-        self.plan.relist()
-        for files in self.plan.captures.values():
+        for files in self.captures.values():
             files[:] = [with_current_digest(file, self.digests) if file.path == path else file for file in files]
-        for name, file in self.plan.named_files.items():
+        for name, file in self.named.items():
             if file.path == path:
-                self.plan.named_files[name] = with_current_digest(file, self.digests)
+                self.named[name] = with_current_digest(file, self.digests)
 
-    def captures_in_motion(self) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    def in_motion(self, dated: bool) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
         """Captures that have changed since the run began, by camera: first harmful changes, then harmless ones.
 
-        If the names of captures contain no date, a camera overwrites the same file again and again.  A file is read as a whole,
-        so overwriting it is harmless if it was complete when the run began.
+        dated: do the names of captures contain a date?  If not, a camera overwrites the same file again and again.  A file is
+        read as a whole, so overwriting it is harmless if it was complete when the run began.
         """
-        changed = changes_of(self.plan.captures, self.replaced, self.digests)
-        if self.plan.site.captures.dated:
+        changed = changes_of(self.captures, self.replaced, self.digests)
+        if dated:
             return changed, {}
-        unfinished = {file.name for files in self.plan.captures.values() for file in files if file.path in self.growing}
+        unfinished = {file.name for files in self.captures.values() for file in files if file.path in self.growing}
         harmful = {camera: [name for name in names if name in unfinished] for camera, names in changed.items()}
         harmless = {camera: [name for name in names if name not in unfinished] for camera, names in changed.items()}
         return harmful, harmless
 
 
-def plan_run(site: Site, options: Options) -> RunContext:
-    """Find a night's captures and plan its tasks; nothing is written."""
-    work = site.work_folder
-    digests, earlier_captures = Digests(work.captures_memo), EarlierCaptures(work.delivered_memo)
-    list_store(site)
-    run_date = night(site, options.date)
-    captures, growing = when_complete(find_captures(site, run_date, digests), digests)
-    fresh = find_stale(site, run_date, captures, digests, earlier_captures)
-    missing = [camera for camera in site.cameras if not fresh.captures[camera.id]]
-    expected_names = {camera.id: expected(site, camera, run_date).replace(f"{site.captures.root}/", "") for camera in missing}
-    reference, incompatible = None, ""
-    try:
-        reference = read_reference(work) if site.settings.pin != "none" else None
-    except BadReference as error:
-        incompatible = error.what
-    plan = Plan(
-        site,
-        fresh.captures,
-        str(run_date),
-        Cache(work),
-        find_named(site, digests),
-        {camera.id: options.not_captured.get(camera.id) or f"there is no file {expected_names[camera.id]}" for camera in missing},
-        options.until,
-        frozenset(options.force),
-        reference=reference,
-        incompatible=incompatible,
-        stale=fresh.stale,
-        night_given=options.date is not None,
-    )
-    return RunContext(run_date, digests, earlier_captures, fresh.notes, plan, growing=growing)
+@dataclass(frozen=True)
+class Night:
+    """The facts of one run."""
+
+    site: Site
+    date: datetime.date
+    stages: tuple[Stage, ...]
+    """The stages that take part, in the order of the pipeline."""
+    bindings: Bindings
+    cache: Cache
+    files: NightFiles
+    date_stated: bool = False
+    """Did the user give the night?  Otherwise dates in the pictures may determine it, if file names contain none."""
+    until: str | None = None
+    """The last stage; None: all of them."""
+    force: frozenset[str] = frozenset()
+    """Stages and tasks to run again."""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    """Why a camera has no captures, by camera."""
+    stale: Mapping[str, Health] = field(default_factory=dict)
+    """Health of the cameras whose captures are not of this night."""
+    notes: Mapping[str, str] = field(default_factory=dict)
+    """Remarks about captures, by camera."""
+    reference: Reference | None = None
+    """The reference of this night; None if there is none, or if it cannot be used."""
+    reference_fault: str = ""
+    """Why an existing reference cannot be used: it is unreadable, or the site file has changed since it was pinned."""
+    calibration_change: str = ""
+    """If the site file has changed: how its lenses and poses differ from those of the reference."""
+
+    @cached_property
+    def _stage_names(self) -> frozenset[str]:
+        return frozenset(stage.name for stage in self.stages)
+
+    def takes_part(self, stage: str) -> bool:
+        """Does the stage with this name take part?"""
+        return stage in self._stage_names

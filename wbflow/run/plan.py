@@ -10,21 +10,16 @@ import dataclasses
 from collections import Counter, deque
 from collections.abc import Iterable, Set
 from dataclasses import dataclass, field
-from typing import Any
 
-from ..cache.store import Cache, Receipt
-from ..pipeline.binding import Binding, bind
-from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, STAGES, Adapt, Stage, ancestors, stage_named
-from ..records.findings import Health
-from ..records.reference_folder import Reference
-from ..reference.compatibility import calibration_change, incompatibility
+from ..cache.store import Receipt
+from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, Adapt, Stage, stage_named
 from ..reference.resolve import Resolver
-from ..site.captures import CaptureFile
-from ..site.models import Site, StageSettings
-from ..task import Task, component_name, names_of
-from .inputs import Inputs, Subjects
+from ..task import Task, names_of
+from .inputs import Inputs
+from .night import Night
 from .spec import Drawing, Input, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
+from .subjects import Subjects
 
 _DECISIVE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
 """Tasks whose results determine which other tasks exist."""
@@ -34,31 +29,13 @@ _DECISIVE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
 class Plan:
     """The tasks of one night; `refresh` derives their states from the cache."""
 
-    site: Site
-    captures: dict[str, list[CaptureFile]]
-    night: str
-    cache: Cache
-    named_files: dict[str, CaptureFile] = field(default_factory=dict)
-    missing: dict[str, str] = field(default_factory=dict)
-    """Why a camera has no captures, by camera."""
-    until: str | None = None
-    force: frozenset[str] = frozenset()
+    night: Night
     states: dict[Task, State] = field(default_factory=dict)
     """Tasks that have ended."""
     running: set[Task] = field(default_factory=set)
     ready: dict[Task, TaskSpec] = field(default_factory=dict)
     waiting: dict[Task, Task | None] = field(default_factory=dict)
     """All other tasks, with the first task found that each waits for (None: the pair graph)."""
-    reference: Reference | None = None
-    """The reference of tonight; None if there is none, or if it cannot be used."""
-    incompatible: str = ""
-    """Why an existing reference cannot be used: it is unreadable, or the site file has changed since it was pinned."""
-    calibration_change: str = ""
-    """If the site file has changed: how its lenses and poses differ from those of the reference."""
-    stale: dict[str, Health] = field(default_factory=dict)
-    """Health of the cameras whose captures are not of tonight."""
-    night_given: bool = False
-    """Did the user give the night?  Otherwise dates in the pictures may determine it, if file names contain none."""
     _must_relist: bool = True
     """Must the tasks be listed again?"""
     _due: deque[Task] = field(default_factory=deque)
@@ -69,27 +46,13 @@ class Plan:
     """Tasks that have ended since the last call of `newly_ended`."""
     _task_counts: Counter[str] = field(default_factory=Counter)
     """Number of tasks by stage, ended ones included."""
-    _bindings: dict[str, Binding] = field(default_factory=dict)
-    """Bindings by stage, or by the `Adapt` function that replaces the stage's own function."""
 
     def __post_init__(self) -> None:
-        requested = ancestors(self.until) if self.until else {stage.name for stage in STAGES}
-        disabled = {name for name, stage in self.site.stages.items() if not stage.enabled}
-        disabled |= {stage.name for stage in STAGES if callable(stage.optional) and not stage.optional(self.site)}
-        for stage in STAGES:  # in order, so that an optional stage is disabled whenever one that it needs is, directly or not
-            if stage.optional and disabled & stage.needed():
-                disabled.add(stage.name)
-        self.stages = [stage for stage in STAGES if stage.name in requested - disabled]
-        """The stages that take part tonight."""
-        names = frozenset(stage.name for stage in self.stages)
-        self.subjects = Subjects(self.site, self.states, DENSE_PAIRS in names)
-        if self.reference:
-            self.incompatible = incompatibility(self.reference, self)
-            if self.incompatible:
-                self.calibration_change = calibration_change(self.reference.cameras, self.site)
-                self.reference = None
-        self.resolver = Resolver(self)
-        self._inputs = Inputs(self, names)
+        self._force = set(self.night.force)
+        """Stages and tasks that are still to be run again."""
+        self.subjects = Subjects(self.night.site, self.states, self.night.takes_part(DENSE_PAIRS))
+        self.resolver = Resolver(self.night, self.states)
+        self._inputs = Inputs(self.night, self.subjects, self.resolver)
 
     def refresh(self) -> None:
         """Find which tasks are cached, ready or waiting; only those that may have changed are examined."""
@@ -104,7 +67,7 @@ class Plan:
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
-        self.force -= {str(task)}
+        self._force.discard(str(task))
         self.resolver.task_ended(task)
         self._newly_ended[task] = None
         self._due.extend(self._dependents.pop(task, ()))
@@ -146,7 +109,7 @@ class Plan:
         """The number of tasks of each stage that are listed so far."""
         if self._must_relist:
             self._list()
-        return {stage.name: self._task_counts[stage.name] for stage in self.stages}
+        return {stage.name: self._task_counts[stage.name] for stage in self.night.stages}
 
     def spec_of(self, task: Task) -> TaskSpec:
         """The spec of a task, whether it has already ended or not.
@@ -160,13 +123,13 @@ class Plan:
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
-        return self._inputs.upstreams(task, self.binding(stage_named(task.stage)).inputs)
+        return self._inputs.upstreams(task, self.night.bindings.of(stage_named(task.stage)).inputs)
 
     def _list(self) -> None:
         """List all known tasks, to be examined in the order of the pipeline."""
         self._must_relist = False
         self.ready, self.waiting, self._dependents = {}, {}, {}
-        self._due = deque(task for stage in self.stages for task in self.subjects.tasks(stage))
+        self._due = deque(task for stage in self.night.stages for task in self.subjects.tasks(stage))
         self._task_counts = Counter(task.stage for task in self._due)
 
     def _derive(self, stage: Stage, task: Task) -> None:
@@ -188,14 +151,14 @@ class Plan:
         key = preimage.key()
         if stage.name == FRAMES:
             self.resolver.note_frame(task.subject, key)
-        if not spec.force and (receipt := self.cache.by_key(task, key)):
+        if not spec.force and (receipt := self.night.cache.by_key(task, key)):
             self.commit(task, cached_state(receipt))
         else:
             self.ready[task] = spec
 
     def _chain(self, first: TaskSpec) -> list[TaskSpec]:
         chain, earlier = [first], {first.task}
-        for stage in self.stages if first.task.subject else ():
+        for stage in self.night.stages if first.task.subject else ():
             follower = Task(stage.name, first.task.subject)
             if follower not in self.waiting:
                 continue
@@ -213,21 +176,26 @@ class Plan:
 
         earlier: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
-        bound = self.binding(stage, adapt)
+        bindings = self.night.bindings
+        bound = bindings.of_adapt(stage, adapt) if adapt else bindings.of(stage)
         inputs = self._inputs.inputs_of(task, bound.inputs, earlier)
-        settings = self.settings(stage, task)
+        parameters = bound.defaults()
+        stated = bindings.stated(stage)
         if adapt:
-            settings = {name: value for name, value in settings.items() if name in bound.parameters}
-        parameters = bound.defaults() | settings
+            # its function reads only some of the stage's parameters
+            stated = {name: value for name, value in stated.items() if name in bound.parameters}
+        elif stage.name == FUSE and COMPONENT in bound.parameters:
+            parameters[COMPONENT] = self.subjects.component_of(task)
+        parameters |= stated
         return TaskSpec(
             task,
             bound.function.dotted,
             bound.code,
             parameters,
             inputs,
-            force=bool(self.force & names_of(task)),
+            force=not self._force.isdisjoint(names_of(task)),
             left_to_function={name: text for name, text in bound.left_to_function().items() if name not in parameters},
-            folder=self.site.folder,
+            folder=self.night.site.folder,
         )
 
     def _with_drawings(self, spec: TaskSpec, earlier: Set[Task]) -> TaskSpec:
@@ -243,22 +211,3 @@ class Plan:
                     inputs[argument] = None
             drawings.append(Drawing(name, function, inputs))
         return dataclasses.replace(spec, drawings=tuple(drawings))
-
-    def binding(self, stage: Stage, adapt: Adapt | None = None) -> Binding:
-        """The binding of a stage to the function that the site uses, or to the `adapt` function."""
-        name = adapt.function if adapt else stage.name
-        if name not in self._bindings:
-            settings = StageSettings() if adapt else self.site.stages[stage.name]
-            if adapt:
-                stage = dataclasses.replace(stage, function=adapt.function, inputs=adapt.inputs, offers={}, method=None)
-            self._bindings[name] = bind(stage, settings.use, settings.parameters, self.site.reader)
-        return self._bindings[name]
-
-    def settings(self, stage: Stage, task: Task) -> dict[str, Any]:
-        """Parameters of a task that the site file sets, in the stage's section or elsewhere; for `fuse`, also the component."""
-        values: dict[str, Any] = {name: self.site.setting(key) for name, key in stage.set_by_site().items()}
-        if stage.name == FUSE:
-            numbers = range(1, self.subjects.components())
-            values[COMPONENT] = next((k for k in numbers if task.subject == (component_name(k),)), 0)
-        accepted = self.binding(stage).parameters
-        return {name: v for name, v in values.items() if name in accepted} | self.site.stages[stage.name].parameters

@@ -10,12 +10,12 @@ from itertools import islice
 from statistics import median
 
 from ..cache.layout import WorkFolder
-from ..pipeline.binding import bind
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health, Usual
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
+from ..run.bindings import Bindings
 from ..site.models import Expected, Measure, Site
 
 LEAST_MATCHED_SHARE = 0.25
@@ -136,13 +136,13 @@ def _health_by_appearance(
     return Health("ok", figures=figures, expected=base)
 
 
-def settings_of(site: Site) -> str:
+def settings_of(site: Site, bindings: Bindings) -> str:
     """Digest of everything that determines a night's results except its captures: the settings of the site file, and the code."""
     stages = []
     for stage in STAGES:
         settings = site.stages[stage.name]
         if settings.enabled:
-            bound = bind(stage, settings.use, settings.parameters, site.reader)
+            bound = bindings.of(stage)
             stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **settings.parameters}])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
     content = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]

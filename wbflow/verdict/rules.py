@@ -17,19 +17,19 @@ from dataclasses import dataclass, field, replace
 from statistics import median
 
 from ..errors import ExitCode
-from ..pipeline.stages import FUSE, STAGES, stage_named
+from ..pipeline.stages import FUSE, STAGES
 from ..pipeline.summaries import CalibrationCheck, PoseIssue, PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..run.plan import Plan
+from ..run.night import Night
 from ..run.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from ..words import counted
 from .acknowledge import Acknowledgement, split
 from .baseline import earlier_runs, figures_of, settings_of, usual_before, usual_of, with_appearance
-from .run_record import root_cause
+from .ended import EndedNight
 
 PLANNED_PAIRS = 0.5
 """Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
@@ -130,29 +130,38 @@ class Facts:
     """The runs before this one, newest first, one for each night."""
 
     @staticmethod
-    def from_plan(plan: Plan, interrupted: bool) -> Facts:
-        """Return the facts of a plan whose tasks have all ended."""
-        failed = tuple((task, state) for task, state in plan.states.items() if state.outcome == "failed")
-        stopped = tuple(state for state in plan.states.values() if state.code == Cause.STOPPED)
-        product = stage_named(FUSE) in plan.stages
+    def from_night(ended: EndedNight, interrupted: bool) -> Facts:
+        """Return the facts of a night whose tasks have all ended."""
+        night = ended.night
+        failed = tuple((task, state) for task, state in ended.states.items() if state.outcome == "failed")
+        stopped = tuple(state for state in ended.states.values() if state.code == Cause.STOPPED)
+        product = night.takes_part(FUSE)
         missing = None
-        if plan.until and not product:
-            last = Task(plan.until)
-            state = plan.states.get(last)
+        if night.until and not product:
+            last = Task(night.until)
+            state = ended.states.get(last)
             if state and not state.usable:
-                missing = plan.until, root_cause(plan, last) or ""
-        change, expected = plan.calibration_change, plan.site.settings.expect
-        return Facts(failed, product, missing, interrupted, stopped, calibration_change=change, expected=expected)
+                missing = (night.until, ended.root_cause(last) or "")
+        return Facts(
+            failed,
+            product,
+            missing,
+            interrupted,
+            stopped,
+            calibration_change=night.calibration_change,
+            expected=night.site.settings.expect,
+        )
 
 
-def judge_run(record: RunRecord, plan: Plan, facts: Facts) -> RunRecord:
+def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:
     """Return the record with the figures it is compared with, the health of its cameras, its verdict and its exit code."""
-    settings, work = settings_of(plan.site), plan.cache.work
+    settings = settings_of(night.site, night.bindings)
+    work = night.cache.work
     earlier = earlier_runs(work, record.run, record.date)
     usual = usual_before(earlier, settings, facts.expected.since)
-    if plan.reference and not plan.reference.automatic:  # pinned by an operator: its figures count as usual
+    if night.reference and not night.reference.automatic:  # pinned by an operator: its figures count as usual
         with suppress(NoSuchRun):  # removed since
-            pinned = RunFolder.of(work, plan.reference.run).record()
+            pinned = RunFolder.of(work, night.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
                 pinned_usual = usual_of([pinned])
                 usual = Usual(1, pinned_usual.figures, usual.cameras if usual else pinned_usual.cameras, pinned.run)

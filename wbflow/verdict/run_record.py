@@ -13,19 +13,25 @@ from ..cache.layout import cloud_name
 from ..cache.versions import installed_versions
 from ..errors import ExitCode
 from ..pipeline import summaries
-from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FRAMES, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
+from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
-from ..run.plan import Plan
 from ..run.state import Cause, summary_of
+from ..site.models import Site
 from ..site.stale_cameras import night_by_pictures, stale_by_image
 from ..task import Subject, Task, camera_of
+from .ended import EndedNight
 
 _SUMMED = {"keypoints", "points"}
 """Figures that are summed over a camera's views; the others are averaged."""
 
 
 def run_record(
-    run: str, plan: Plan, started: datetime.datetime, seconds: Seconds, peak_rss_mb: float, files: Mapping[str, Collection[str]]
+    run: str,
+    ended: EndedNight,
+    started: datetime.datetime,
+    seconds: Seconds,
+    peak_rss_mb: float,
+    files: Mapping[str, Collection[str]],
 ) -> RunRecord:
     """Return the record of a run that ends now, without a verdict yet.
 
@@ -33,72 +39,45 @@ def run_record(
     ----------
     run, started : str, datetime
         The run's id, and when it began (UTC).
-    plan : Plan
-        The plan, with the states of all its tasks.
+    ended : EndedNight
+        The night, whose tasks have all ended.
     seconds, peak_rss_mb : Seconds, float
         Time that the run took, and the memory of its largest worker.
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """
-    site_wide = _SiteWide.from_plan(plan)
+    site_wide = _SiteWide.from_plan(ended)
     views: dict[str, list[CameraRecord]] = {}
-    for view in plan.site.views:
-        views.setdefault(view.camera, []).append(_camera_record(plan, view.id, site_wide))
+    for view in ended.night.site.views:
+        views.setdefault(view.camera, []).append(_camera_record(ended, view.id, site_wide))
     cameras = [_joined_views(records) for records in views.values()]
-    dated = plan.site.captures.dated
-    night = plan.night if dated else night_by_pictures(camera.figures for camera in cameras)
-    clouds = _clouds(plan)
-    fuse = plan.states.get(Task(FUSE))
+    dated = ended.night.site.captures.dated
+    night = str(ended.night.date) if dated else night_by_pictures(camera.figures for camera in cameras)
+    clouds = _clouds(ended)
+    fuse = ended.states.get(Task(FUSE))
     failed_fuse = fuse if fuse and not fuse.usable else None
     return RunRecord(
         run=run,
-        site=plan.site.name,
+        site=ended.night.site.name,
         version=__version__,
-        date=plan.night if plan.night_given else night or plan.night,
+        date=str(ended.night.date) if ended.night.date_stated else night or str(ended.night.date),
         started=stamp(started),
         finished=stamp(datetime.datetime.now(datetime.UTC)),
         exit_code=ExitCode.GOOD,
-        tasks=TaskCounts(**Counter[str](state.outcome for state in plan.states.values())),
+        tasks=TaskCounts(**Counter[str](state.outcome for state in ended.states.values())),
         seconds=seconds,
         peak_rss_mb=round(peak_rss_mb),
         cameras=tuple(_with_staleness(camera, night, dated) for camera in cameras),
-        pairs=tuple(_pair_record(plan, pair, site_wide) for pair in _pairs(plan)),
+        pairs=tuple(_pair_record(ended, pair, site_wide) for pair in _pairs(ended)),
         cloud=clouds.get(()),
         other_clouds=tuple(cloud for component, cloud in clouds.items() if component),
-        poses=_by_camera(site_wide.poses) if _is_usable(plan, POSES) else None,
-        reason=root_cause(plan, Task(FUSE)) if failed_fuse else None,
+        poses=_by_camera(site_wide.poses, _camera_names(ended.night.site)) if ended.is_usable(POSES) else None,
+        reason=ended.root_cause(Task(FUSE)) if failed_fuse else None,
         code=failed_fuse.code if failed_fuse else None,
         versions=installed_versions(),
-        reference=plan.reference.run if plan.reference else None,
-        results=dict(_results(plan, files)),
+        reference=ended.night.reference.run if ended.night.reference else None,
+        results=dict(_results(ended, files)),
     )
-
-
-def root_cause(plan: Plan, task: Task) -> str | None:
-    """Return why a task made nothing; if it was skipped because others were skipped, the original cause.
-
-    If there are several causes, the one that most tasks share.
-    """
-    state = plan.states[task]
-    if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
-        return state.reason
-    queue, visited, roots = [task], {task}, []
-    while queue:
-        current = queue.pop(0)
-        causes = [upstream for upstream in plan.upstreams(current) if (s := plan.states.get(upstream)) and not s.usable]
-        if plan.states[current].outcome != "skipped" or not causes:
-            roots.append(current)
-            continue
-        unvisited = [upstream for upstream in dict.fromkeys(causes) if upstream not in visited]
-        visited.update(unvisited)
-        queue += unvisited
-    kinds = Counter((root.stage, plan.states[root].code) for root in roots)
-    kind, count = kinds.most_common(1)[0]
-    if kind[0] == FRAMES:  # too few cameras: the reason has their number
-        return state.reason
-    example = next(root for root in roots if (root.stage, plan.states[root].code) == kind)
-    suffix = f" (and {count - 1} more like it)" if count > 1 else ""
-    return f"{example}: {plan.states[example].reason}{suffix}"
 
 
 @dataclass(frozen=True)
@@ -115,28 +94,28 @@ class _SiteWide:
     """Pairs for dense matching, if these are chosen separately."""
 
     @staticmethod
-    def from_plan(plan: Plan) -> _SiteWide:
-        clouds = [summary_of(state, summaries.FuseSummary) for task, state in plan.states.items() if task.stage == FUSE]
-        pairs, dense = (summary_of(plan.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
-        poses = summary_of(plan.states.get(Task(POSES)), summaries.PosesSummary)
-        if (row_check := plan.states.get(Task(CALIBRATION))) and row_check.usable:
+    def from_plan(ended: EndedNight) -> _SiteWide:
+        clouds = [summary_of(state, summaries.FuseSummary) for task, state in ended.states.items() if task.stage == FUSE]
+        pairs, dense = (summary_of(ended.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
+        poses = summary_of(ended.states.get(Task(POSES)), summaries.PosesSummary)
+        if (row_check := ended.states.get(Task(CALIBRATION))) and row_check.usable:
             poses = replace(poses, rows=summary_of(row_check, summaries.CalibrationCheck))
         return _SiteWide(
             poses,
             points={camera: points for cloud in clouds for camera, points in cloud.sample_counts.items()},
             misfits={camera: misfit for cloud in clouds for camera, misfit in cloud.misfits.items()},
             crowded={**pairs.crowded, **dense.crowded},
-            dense=frozenset(_usable_pairs(plan, DENSE_PAIRS)),
+            dense=frozenset(_usable_pairs(ended, DENSE_PAIRS)),
         )
 
 
-def _camera_record(plan: Plan, camera: str, site_wide: _SiteWide) -> CameraRecord:
-    captures = {file.name: file.digest for file in plan.captures[camera_of(camera)]}
-    record = CameraRecord(camera, "ok", captures=captures, health=plan.resolver.health(camera))
+def _camera_record(ended: EndedNight, camera: str, site_wide: _SiteWide) -> CameraRecord:
+    captures = {file.name: file.digest for file in ended.night.files.captures[camera_of(camera)]}
+    record = CameraRecord(camera, "ok", captures=captures, health=ended.health_of(camera))
     figures: dict[str, Any] = {}
     notes: list[str] = []
     for stage, kind in _stages_in(summaries.CameraFigures):
-        state = plan.states.get(Task(stage.name, (camera,)))
+        state = ended.states.get(Task(stage.name, (camera,)))
         if state and not state.usable:
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
             break
@@ -145,7 +124,7 @@ def _camera_record(plan: Plan, camera: str, site_wide: _SiteWide) -> CameraRecor
     else:
         poses = site_wide.poses
         pose_check, moved = poses.pose_checks.get(camera), poses.issues_of("moved").get(camera)
-        depth = summary_of(plan.states.get(Task(DEPTH, (camera,))), summaries.DepthSummary)
+        depth = summary_of(ended.states.get(Task(DEPTH, (camera,))), summaries.DepthSummary)
         figures["pose"] = pose_check
         figures["verified"] = pose_check.get("verified") if pose_check else None
         figures["pose_from"] = poses.sources.get(camera)
@@ -166,12 +145,12 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
     return record
 
 
-def _pair_record(plan: Plan, pair: tuple[str, str], site_wide: _SiteWide) -> PairRecord:
+def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide) -> PairRecord:
     figures: dict[str, Any] = {}
     success: dict[str, Any] = {"outcome": "ok"}
     outcome = success
     for stage, kind in _stages_in(summaries.PairFigures):
-        state = plan.states.get(Task(stage.name, pair))
+        state = ended.states.get(Task(stage.name, pair))
         if state is None:
             continue
         figures |= _not_none(summary_of(state, kind))
@@ -179,7 +158,7 @@ def _pair_record(plan: Plan, pair: tuple[str, str], site_wide: _SiteWide) -> Pai
             outcome = success
         elif not state.usable and (outcome is success or state.outcome != "skipped"):
             outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
-    geometry = plan.states.get(Task(GEOMETRY, pair))
+    geometry = ended.states.get(Task(GEOMETRY, pair))
     if check := site_wide.poses.pair_checks.get("--".join(pair)):
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
     matched, dense = geometry.usable if geometry else None, pair in site_wide.dense if site_wide.dense else None
@@ -195,36 +174,36 @@ def _not_none(summary: summaries.Summary) -> dict[str, Any]:
     return {name: value for name, value in vars(summary).items() if value is not None}
 
 
-def _pairs(plan: Plan) -> list[tuple[str, str]]:
+def _pairs(ended: EndedNight) -> list[tuple[str, str]]:
     """Pairs that are matched sparsely or densely; if dense pairs are chosen separately, in the order of the site file."""
-    matched, dense = _usable_pairs(plan, PAIRS), _usable_pairs(plan, DENSE_PAIRS)
-    position = {view.id: k for k, view in enumerate(plan.site.views)}
+    matched, dense = _usable_pairs(ended, PAIRS), _usable_pairs(ended, DENSE_PAIRS)
+    position = {view.id: k for k, view in enumerate(ended.night.site.views)}
     return sorted({*matched, *dense}, key=lambda pair: [position[view] for view in pair]) if dense else matched
 
 
-def _usable_pairs(plan: Plan, stage: str) -> list[tuple[str, str]]:
-    return list(summary_of(plan.states[Task(stage)], summaries.PairsSummary).pairs) if _is_usable(plan, stage) else []
+def _usable_pairs(ended: EndedNight, stage: str) -> list[tuple[str, str]]:
+    return list(summary_of(ended.states[Task(stage)], summaries.PairsSummary).pairs) if ended.is_usable(stage) else []
 
 
-def _is_usable(plan: Plan, stage: str) -> bool:
-    state = plan.states.get(Task(stage))
+def _is_usable(ended: EndedNight, stage: str) -> bool:
+    state = ended.states.get(Task(stage))
     return state is not None and state.usable
 
 
-def _clouds(plan: Plan) -> dict[Subject, CloudRecord]:
+def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
     """Return the clouds by component; that of () is the main one."""
     clouds = {}
-    for task, state in plan.states.items():
+    for task, state in ended.states.items():
         if task.stage == FUSE and state.usable:
             cloud = summary_of(state, summaries.FuseSummary)
             clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.correct_share)
     return clouds
 
 
-def _results(plan: Plan, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, summaries.SiteSummary]]:
-    for stage in plan.stages:
+def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, summaries.SiteSummary]]:
+    for stage in ended.night.stages:
         if stage.summary and issubclass(stage.summary, summaries.SiteSummary):
-            state = plan.states.get(Task(stage.name))
+            state = ended.states.get(Task(stage.name))
             summary = summary_of(state, stage.summary) if state and state.usable else stage.summary()
             reason = state.reason if state and not state.usable else None
             yield stage.name, replace(summary, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
@@ -259,26 +238,28 @@ def _joined_figure(values: Sequence[Any], is_summed: bool) -> Any:
     return known[0]
 
 
-def _by_camera(poses: summaries.PosesSummary) -> summaries.PosesSummary:
+def _camera_names(site: Site) -> dict[str, str]:
+    """The camera's id by the id of each of its views."""
+    return {view.id: view.camera for view in site.views}
+
+
+def _by_camera(poses: summaries.PosesSummary, camera_names: Mapping[str, str]) -> summaries.PosesSummary:
     """Return the summary with camera ids instead of the ids of views."""
-    issues = {(issue.kind, _camera_name(issue.camera)): issue for issue in reversed(poses.issues)}
+    issues = {(issue.kind, camera_names.get(issue.camera, issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
-    return replace(poses, **{name: _with_camera_names(value) for name, value in vars(poses).items()} | {"issues": tuple(named)})
+    renamed = {name: _with_camera_names(value, camera_names) for name, value in vars(poses).items()}
+    return replace(poses, **renamed | {"issues": tuple(named)})
 
 
-def _with_camera_names(value: Any) -> Any:
+def _with_camera_names(value: Any, camera_names: Mapping[str, str]) -> Any:
     """Replace views by their cameras, keeping each camera's first entry; pairs are of views, and keep their names."""
     if isinstance(value, Mapping):
         by_camera: dict[str, Any] = {}
         for name, entry in value.items():
-            by_camera.setdefault(_camera_name(name), entry)
+            by_camera.setdefault(camera_names.get(name, name), entry)
         return by_camera
     if isinstance(value, tuple):
         if all(isinstance(entry, str) for entry in value):
-            return tuple(dict.fromkeys(map(_camera_name, value)))
-        return tuple(_with_camera_names(entry) for entry in value)
+            return tuple(dict.fromkeys(camera_names.get(name, name) for name in value))
+        return tuple(_with_camera_names(entry, camera_names) for entry in value)
     return value
-
-
-def _camera_name(name: str) -> str:
-    return name if "--" in name or " " in name else camera_of(name)

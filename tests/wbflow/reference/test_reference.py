@@ -20,7 +20,7 @@ from wbflow.cache import atomic, checksum
 from wbflow.cache import store as cache
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
-from wbflow.records import reference_folder as reference
+from wbflow.records import reference as reference
 from wbflow.site.load import load_site
 from wbflow.task import Task
 

@@ -1,0 +1,54 @@
+"""What follows a published run: it is indexed, pinned if it is the first good one, made known, and old results are removed."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+
+from ..cache.cleanup import Keep, clean
+from ..errors import WbflowError
+from ..records.finished_run import Run
+from ..records.ledger import Ledger
+from ..reference.create import fit_to_pin, pin
+from ..site.models import Site
+from ..words import format_size
+from .journal import Journal
+from .notify import NotifyFailed, notify
+
+
+def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
+    """Do what follows a published run.  No fault in this affects the night: it becomes a warning, in the run's log as well.
+
+    send: may the site's `notify` command be called?
+    """
+    event_count = len(journal.events)
+    index(run, site, journal)
+    if send and site.settings.notify:
+        try:
+            notify(site.settings.notify, site.folder, run)
+        except (NotifyFailed, OSError) as error:
+            journal.warn(str(error), remedy="the command is called again after the next run")
+    with contextlib.suppress(OSError):  # a full disk: there is a warning already
+        for event in journal.events[event_count:]:
+            run.run_folder.add(event)
+
+
+def index(run: Run, site: Site, journal: Journal) -> None:
+    """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
+    try:
+        with Ledger(run.cache.work, writes=True) as ledger:
+            new_tasks = (task for task, event in run.task_events.items() if event.outcome in {"ran", "rejected"})
+            ledger.record_artifacts(receipt for task in new_tasks if (receipt := run.receipt(task)))
+            ledger.record_run(run.record)
+        if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
+            pin(run.cache, run.run_folder, automatic=True)
+        keep = site.settings.keep.limits()
+        if keep != Keep():
+            excess = clean(run.cache.work, keep, requested=False).excess_bytes
+            if excess:
+                what = f"the cache holds {format_size(excess)} more than keep.bytes allows"
+                journal.warn(what, remedy="the newest night alone needs it: allow more, or lower `resolution`")
+    except sqlite3.Error as error:
+        journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
+    except (OSError, WbflowError) as error:
+        journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")

@@ -1,0 +1,94 @@
+"""The life of a run, from the lock to the message about it.  Read this first."""
+
+from __future__ import annotations
+
+import dataclasses
+import sqlite3
+
+from ..cache.atomic import disk_fault
+from ..cache.layout import WorkFolder
+from ..cache.lock import claim
+from ..pipeline.stages import FRAMES
+from ..records.events import Listener
+from ..records.finished_run import Run
+from ..records.ledger import Ledger
+from ..records.run_folder import hold_to_write, new_run
+from ..reference.prepare import prepare
+from ..site.models import Site
+from ..task import Task
+from .afterwards import follow_up
+from .journal import Journal
+from .loop import run_tasks
+from .night import Night
+from .options import Options
+from .plan import Plan
+from .publish import publish
+from .signals import terminate_as_interrupt
+from .tonight import read_night
+
+
+def run_night(site: Site, options: Options, listen: Listener) -> Run:
+    """Process a night of a site, from captures to cloud and report; returns the finished run, whatever came of it.
+
+    Parameters
+    ----------
+    site, options : Site, Options
+        The site, and the options of the run, already checked.
+    listen : callable
+        Receives every event as it happens.
+
+    Raises
+    ------
+    Locked
+        Another run holds the work folder.
+    WbflowError
+        The work folder cannot be written.
+    """
+    work = site.work_folder
+    try:
+        # only the holder of the lock writes to the work folder; a store on the network has a mirror on this machine
+        with hold_to_write(work, options.wait) as mirror, terminate_as_interrupt():
+            warning = claim(work, site.name, site.file)
+            run, started = new_run(work)
+            journal = Journal(mirror.wrap_listener(listen) if mirror else listen, started)
+            if mirror:
+                journal.upload = mirror.upload_finding
+            if warning:
+                journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
+            for note in site.notes:
+                journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
+            repair_ledger(work, journal)
+            # from here on: plan, restore, work, publish, follow up
+            night = read_night(site, options)
+            note_oddities(night, journal)
+            plan = Plan(night)
+            prepare(night, journal)
+            products = run_tasks(plan, options, journal)
+            finished = publish(run, plan, products, journal, own_process=options.backend == "threading")
+            follow_up(finished, site, journal, send=products is not None and not options.until)
+            if mirror and (fault := mirror.finish()):
+                journal.warn(fault)
+                finished.run_folder.add(journal.events[-1])
+            return finished
+    except OSError as error:
+        raise disk_fault(error, work.root) from error
+
+
+def note_oddities(night: Night, journal: Journal) -> None:
+    """Tell the journal what was odd about the memos on disk and the captures."""
+    for memo in (night.files.digests, night.files.earlier, night.site.reader):
+        if memo.damage:
+            journal.note_repair(memo.damage)
+    for camera, text in night.notes.items():
+        journal.warn(text, task=Task(FRAMES, (camera,)))
+
+
+def repair_ledger(work: WorkFolder, journal: Journal) -> None:
+    """Rebuild the ledger if it is damaged, before it is read."""
+    try:
+        with Ledger(work, writes=True) as ledger:
+            ledger.catch_up()
+            for fault in ledger.faults:
+                journal.note_repair(fault)
+    except (OSError, sqlite3.Error) as error:
+        journal.warn(f"the ledger cannot be used: {error}", remedy="the run continues without it; the next run tries again")
