@@ -19,7 +19,12 @@ from .notify import NotifyFailed, notify
 def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
     """Do what follows a published run.  No fault in this affects the night: it becomes a warning, in the run's log as well.
 
-    send: may the site's `notify` command be called?
+    Parameters
+    ----------
+    run, site, journal : Run, Site, Journal
+        The published run, its site, and its events.
+    send : bool
+        May the site's `notify` command be called?
     """
     event_count = len(journal.events)
     index(run, site, journal)
