@@ -14,7 +14,7 @@ from wbflow_stages.core.cameras import relative_pose
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.orientation.solve import solve_from_pairs
 from wbflow_stages.sfm.loops import (
-    USUAL,
+    WITHOUT_REPETITION,
     AmbiguityKind,
     LoopStatistics,
     Shares,
@@ -37,9 +37,9 @@ LEAST_SHARE = 0.01
 """Lower bound on each estimated share: there are too few pairs to measure smaller ones."""
 
 
-def site_accepts(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Bools:
+def site_accepts(pairs: list[LabelledPair], scores: Float64s, statistics: LoopStatistics) -> Bools:
     """(n,) which pairs the site's check accepts."""
-    checks = check_loops(_geometries(pairs, scores), None, usual)
+    checks = check_loops(_geometries(pairs, scores), None, statistics)
     return np.array([(p.left, p.right) in checks and checks[p.left, p.right].rejected is None for p in pairs], bool)
 
 
@@ -57,7 +57,7 @@ def loop_statistics(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
     rivals = Shares(shares[AmbiguityKind.TURNED], shares[AmbiguityKind.SIDE], shares[AmbiguityKind.ROW])
     best: tuple[float, LoopStatistics] | None = None
     for rotation, direction in TOLERANCES_DEG:
-        tried = replace(USUAL, rotation_deg=rotation, direction_deg=direction, rivals=rivals)
+        tried = replace(WITHOUT_REPETITION, rotation_deg=rotation, direction_deg=direction, rivals=rivals)
         right, wrong = (_share_closed(plain, tried, wrong=wrong) for wrong in (False, True))
         likelihood = sum(p * np.log(p) + (1 - p) * np.log(1 - p) for p in (right, wrong))
         if best is None or likelihood > best[0]:
@@ -66,7 +66,7 @@ def loop_statistics(sets: Mapping[str, list[LabelledPair]]) -> LoopStatistics:
     return best[1]
 
 
-def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: LoopStatistics, *, wrong: bool) -> float:
+def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], statistics: LoopStatistics, *, wrong: bool) -> float:
     """Share of closed triangles among those of usable pairs, or those with a wrong pair, kept `LEAST_SHARE` away from 0 and 1."""
     shares = []
     for sets in plain.values():
@@ -77,19 +77,19 @@ def _share_closed(plain: Mapping[str, list[list[LabelledPair]]], usual: LoopStat
             for a, b, c in triangles_of(geometries):
                 sides = [kinds[side] for side in ((a, b), (b, c), (a, c))]
                 if any(p.wrong for p in sides) if wrong else all(p.usable for p in sides):
-                    closed.append(closes(geometries, a, b, c, usual))
+                    closed.append(closes(geometries, a, b, c, statistics))
         if closed:
             shares.append(np.mean(closed))
     return float(np.clip(np.mean(shares), LEAST_SHARE, 1 - LEAST_SHARE))
 
 
-def solved_poses(pairs: list[LabelledPair], scores: Float64s, usual: LoopStatistics) -> Poses | None:
+def solved_poses(pairs: list[LabelledPair], scores: Float64s, statistics: LoopStatistics) -> Poses | None:
     """The cameras of a site as `poses` solves them from known intrinsics and nothing else; None if it solves none."""
     geometries = _geometries(pairs, scores)
     seen = {name: view for p in pairs for name, view in ((p.left, p.geometry.view1), (p.right, p.geometry.view2))}
     views = {name: seen[name] for name in sorted(seen)}
     nothing = {name: Placement() for name in views}
-    found = solve_from_pairs(views, nothing, geometries, Survey(), {}, MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX, usual)
+    found = solve_from_pairs(views, nothing, geometries, Survey(), {}, MAX_ROTATION_ERROR_DEG, MAX_EPIPOLAR_PX, statistics)
     return found if isinstance(found, Poses) else None
 
 

@@ -30,7 +30,7 @@ class Fitted:
     """The weights and statistics fitted on some scenes, to judge others."""
 
     weights: Weights
-    usual: LoopStatistics
+    statistics: LoopStatistics
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,14 @@ def fitted(sets: Mapping[str, list[LabelledPair]]) -> Fitted:
 
 def _print_fit(found: Fitted) -> None:
     print("\nfitted on all:", *(f"{t.name}: {w:.2f}" for t, w in zip(TERMS, found.weights.terms, strict=True)), sep="\n  ")
-    print(f"  offset: {found.weights.offset:.2f}\n  {found.usual}")
+    print(f"  offset: {found.weights.offset:.2f}\n  {found.statistics}")
 
 
 def _row(name: str, of: LabelledSet, by: Fitted) -> Row:
     pairs = list(of.pairs)
     scores = by.weights.scores(pairs)
     usable, wrong, accepted = np.array([p.usable for p in pairs]), np.array([p.wrong for p in pairs]), scores > 0
-    poses = None if name == "nothing" else solved_poses(pairs, scores, by.usual)
+    poses = None if name == "nothing" else solved_poses(pairs, scores, by.statistics)
     kept, kept_wrong = in_use(pairs, poses, of.cameras)
     counts = (usable, usable & accepted, wrong, accepted, wrong & accepted, usable & kept, kept, kept_wrong)
     return Row(name, len(pairs), *(int(c.sum()) for c in counts))
@@ -126,10 +126,10 @@ def small_sites(name: str, of: LabelledSet, by: Fitted) -> int:
             chosen = set(rng.choice(cameras, size, replace=False).tolist())
             mine = [p for p in of.pairs if {p.left, p.right} <= chosen]
             scores = by.weights.scores(mine)
-            kept = site_accepts(mine, scores, by.usual)
+            kept = site_accepts(mine, scores, by.statistics)
             some = [p for p, yes in zip(mine, kept, strict=True) if yes]
             empty += not some
-            if averaged_turn_deg(some, of.cameras) <= TURNED_DEG or (poses := solved_poses(mine, scores, by.usual)) is None:
+            if averaged_turn_deg(some, of.cameras) <= TURNED_DEG or (poses := solved_poses(mine, scores, by.statistics)) is None:
                 continue
             if solved_turn_deg(poses, of.cameras, turns[:1]) > TURNED_DEG:
                 turned += 1

@@ -13,7 +13,7 @@ from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distanc
 from ..core.residual_distortion import UNDISTORTED_PX, residual_px, without_distortion
 from ..sfm.consistent_matches import consistent_matches
 from ..sfm.incremental import Model, refine
-from ..sfm.loops import USUAL, LoopStatistics
+from ..sfm.loops import WITHOUT_REPETITION, LoopStatistics
 from ..sfm.rigs import first_views
 from ..sfm.tracks import Edge
 from ..sfm.view_graph import ViewGraph
@@ -37,7 +37,7 @@ def solve_from_pairs(
     stated: Mapping[str, Camera],
     max_rotation_error_deg: float,
     max_epipolar_px: float,
-    usual: LoopStatistics = USUAL,
+    statistics: LoopStatistics = WITHOUT_REPETITION,
 ) -> Poses | Rejected:
     """Solve the poses that are not known.
 
@@ -45,7 +45,7 @@ def solve_from_pairs(
     ----------
     views, placements, geometries, survey, max_rotation_error_deg, max_epipolar_px : see `poses.solve_poses`.
     stated : cameras whose intrinsics and poses are both known, by id.
-    usual : statistics of scenes that do not repeat, for the check of the site's loops.
+    statistics : statistics of scenes that do not repeat, for the check of the site's loops.
     """
     exact = {}
     for name, camera in stated.items():
@@ -54,7 +54,7 @@ def solve_from_pairs(
 
     # 1. Build models from pairs that agree with exact cameras and with each other.
     graph = ViewGraph.of(views, _consistent(exact, geometries, max_epipolar_px))
-    accepted, dropped = graph.consistent(max_rotation_error_deg, usual)
+    accepted, dropped = graph.consistent(max_rotation_error_deg, statistics)
     held = {view: exact[name] for view, name in enumerate(graph.names) if name in exact}
     models, removed = _refined(graph.models(accepted, held), accepted, max_epipolar_px)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wbflow_stages.sfm.loops import USUAL, check_loops
+from wbflow_stages.sfm.loops import WITHOUT_REPETITION, check_loops
 from wbflow_stages.twoview.pair_score import probability
 from wbflow_stages.types import Geometry, Pair, View
 
@@ -86,7 +86,7 @@ def test_unlikely_pairs_do_not_confirm_each_other() -> None:
     """Scores of a square by night: three pairs that agree confuse opposite sides.  Triangles of wrong pairs rarely close here."""
     scores = {("c0", "c1"): 0.93, ("c0", "c3"): -1.32, ("c1", "c2"): -2.94, ("c1", "c3"): -2.3, ("c2", "c3"): -0.67}
     pairs = {pair: replace(site(4)[pair], score=score) for pair, score in scores.items()}
-    checks = check_loops(pairs, None, replace(USUAL, closed_wrong=0.01))
+    checks = check_loops(pairs, None, replace(WITHOUT_REPETITION, closed_wrong=0.01))
     assert all(checks[pair].closed == checks[pair].triangles > 0 for pair in scores)
     assert all(checks[pair].rejected is not None for pair, score in scores.items() if score < 0)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wbflow_stages.contracts.reasons import Reason
-from wbflow_stages.sfm.loops import USUAL, AmbiguityKind, ambiguity_kind, why_ambiguous
+from wbflow_stages.sfm.loops import WITHOUT_REPETITION, AmbiguityKind, ambiguity_kind, why_ambiguous
 from wbflow_stages.types import Geometry, View
 
 NOTHING = np.zeros((0, 2))
@@ -42,17 +42,17 @@ def test_a_rival_is_classified_by_its_share_and_turn(share: float, turned_deg: f
 def test_pairs_without_a_search_for_rivals_are_not_classified() -> None:
     bare = replace(PLAIN, rival_turned_deg=float("nan"))
     assert ambiguity_kind(bare) is None
-    assert why_ambiguous([bare] * 5, USUAL.rivals) is None
+    assert why_ambiguous([bare] * 5, WITHOUT_REPETITION.rivals) is None
 
 
 def test_one_rival_of_another_side_is_enough_among_few_pairs_but_not_many() -> None:
     plain, side = pair_with_rival(0.02, 60.0), pair_with_rival(0.15, 90.0)
-    assert why_ambiguous([side, plain, plain], USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
-    assert why_ambiguous([side] + [plain] * 27, USUAL.rivals) is None
-    assert why_ambiguous([side] * 6 + [plain] * 20, USUAL.rivals) is Reason.SAME_FROM_OTHER_SIDES
+    assert why_ambiguous([side, plain, plain], WITHOUT_REPETITION.rivals) is Reason.SAME_FROM_OTHER_SIDES
+    assert why_ambiguous([side] + [plain] * 27, WITHOUT_REPETITION.rivals) is None
+    assert why_ambiguous([side] * 6 + [plain] * 20, WITHOUT_REPETITION.rivals) is Reason.SAME_FROM_OTHER_SIDES
 
 
 def test_a_row_of_identical_houses_is_distinguished_from_identical_sides() -> None:
     plain, shifted = pair_with_rival(0.02, 60.0), pair_with_rival(0.4, 0.1)
-    assert why_ambiguous([shifted] * 3 + [plain], USUAL.rivals) is Reason.SAME_ALONG_A_ROW
-    assert why_ambiguous([plain] * 4, USUAL.rivals) is None
+    assert why_ambiguous([shifted] * 3 + [plain], WITHOUT_REPETITION.rivals) is Reason.SAME_ALONG_A_ROW
+    assert why_ambiguous([plain] * 4, WITHOUT_REPETITION.rivals) is None
