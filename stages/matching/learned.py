@@ -13,6 +13,7 @@ the pair and two keypoint indices, or one index for each left keypoint, negative
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -20,16 +21,28 @@ import cv2
 import numpy as np
 
 from ..core.luminance import grey_levels
-from ..types import Capture, Float32s, Float64s, Frame, Matches, Uint8s
+from ..types import Bools, Capture, Float32s, Float64s, Frame, Matches, Uint8s
 
-_TWO_INPUTS, _TWO_OUTPUTS = ("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0")
-_ONE_INPUT, _ONE_OUTPUTS = ("images",), ("keypoints", "matches", "mscores")
+
+@dataclass(frozen=True)
+class _Interface:
+    """Names of a model's inputs, and of the outputs that are read."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def words(self) -> str:
+        """The interface as in messages."""
+        return f"{', '.join(self.inputs)} -> {', '.join(self.outputs)}"
+
+
+_TWO_IMAGES = _Interface(("image0", "image1"), ("kpts0", "kpts1", "matches0", "mscores0"))
+"""Each image is an input of its own, of its own size."""
+_ONE_BATCH = _Interface(("images",), ("keypoints", "matches", "mscores"))
+"""Both images are one input, and therefore have the same size."""
 _STRIDE = 32
 """Image sizes that the model leaves free are multiples of this, the largest factor by which common features downsample."""
-_NEEDED = (
-    f"a model of {', '.join(_TWO_INPUTS)} -> {', '.join(_TWO_OUTPUTS)}, or of {', '.join(_ONE_INPUT)} -> "
-    f"{', '.join(_ONE_OUTPUTS)}, is wanted: features and matcher exported as one"
-)
+_NEEDED = f"a model of {_TWO_IMAGES.words()}, or of {_ONE_BATCH.words()}, is wanted: features and matcher exported as one"
 
 
 def match_onnx(
@@ -49,15 +62,20 @@ def match_onnx(
     long_side_px : long side to which larger images are scaled if the model takes any size, pixels.
     """
     session = _session(model.name, model.data.tobytes())
-    inputs = {value.name: tuple(n if isinstance(n, int) else 0 for n in value.shape) for value in session.get_inputs()}
-    _check(model.name, inputs, [value.name for value in session.get_outputs()])
-    shapes = [inputs.get(name, inputs.get(_ONE_INPUT[0], ())) for name in _TWO_INPUTS]
-    sizes = [_size(shape, frame, long_side_px) for shape, frame in zip(shapes, (left_frame, right_frame), strict=True)]
-    if len(inputs) == 1:  # both in one array
-        sizes[1] = sizes[0]
-    frames = zip((left_frame, right_frame), sizes, shapes, strict=True)
-    x1, x2, scores = _run(model.name, session, [_model_input(frame.image, size, shape[1]) for frame, size, shape in frames])
-    x1, x2 = _in_frame(x1, sizes[0], left_frame), _in_frame(x2, sizes[1], right_frame)
+    shapes = _input_shapes(session)
+    interface = _interface(model.name, shapes, [value.name for value in session.get_outputs()])
+
+    # the images in the sizes that the model takes
+    left_shape = shapes[interface.inputs[0]]
+    right_shape = shapes[interface.inputs[-1]]
+    left_size = _size(left_shape, left_frame, long_side_px)
+    right_size = left_size if interface is _ONE_BATCH else _size(right_shape, right_frame, long_side_px)
+    left_image = _model_input(left_frame.image, left_size, left_shape[1])
+    right_image = _model_input(right_frame.image, right_size, right_shape[1])
+
+    x1, x2, scores = _run(model.name, session, interface, left_image, right_image)
+    x1 = _in_frame(x1, left_size, left_frame)
+    x2 = _in_frame(x2, right_size, right_frame)
     keep = (scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
     p = np.clip(scores[keep], 0, 1).astype(np.float32)
     return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
@@ -72,7 +90,7 @@ def _session(name: str, model: bytes) -> Any:
         raise ModuleNotFoundError("the matcher onnx needs ONNX Runtime: pip install 'wbflow[onnx]'") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
+    options.log_severity_level = 4  # nothing but fatal errors: the message of the exception says the rest
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its exceptions have no base class of their own
@@ -81,40 +99,68 @@ def _session(name: str, model: bytes) -> Any:
 
 
 def _shortened(error: Exception) -> str:
+    """The end of an exception's text, on one line: it begins with places in ONNX Runtime's own code."""
     return " ".join(str(error).split())[-300:]
 
 
-def _check(name: str, inputs: Mapping[str, tuple[int, ...]], outputs: Sequence[str]) -> None:
-    """Raise ValueError for a model that has neither of the two interfaces."""
-    forms = ((_TWO_INPUTS, _TWO_OUTPUTS), (_ONE_INPUT, _ONE_OUTPUTS))
-    fits = any(set(inputs) == set(i) and set(outputs) >= set(o) for i, o in forms)
-    if not fits or any(len(sizes) != 4 or sizes[1] not in {0, 1, 3} for sizes in inputs.values()):
-        takes = ", ".join(f"{name} {sizes}" for name, sizes in inputs.items())
-        raise ValueError(f"{name} takes {takes} and gives {', '.join(outputs)}: {_NEEDED}")
+def _input_shapes(session: Any) -> dict[str, tuple[int, ...]]:
+    """Shape of each of the model's inputs by name; 0 where the model leaves a size free (it then has a name, or none)."""
+    shapes = {}
+    for value in session.get_inputs():
+        shapes[value.name] = tuple(size if isinstance(size, int) else 0 for size in value.shape)
+    return shapes
+
+
+def _interface(name: str, shapes: Mapping[str, tuple[int, ...]], outputs: Sequence[str]) -> _Interface:
+    """The interface that a model has.  Raises ValueError if it has neither of the two, or takes no grey or RGB images."""
+    takes_images = all(len(sizes) == 4 and sizes[1] in {0, 1, 3} for sizes in shapes.values())
+    for interface in (_TWO_IMAGES, _ONE_BATCH):
+        if takes_images and set(shapes) == set(interface.inputs) and set(outputs) >= set(interface.outputs):
+            return interface
+    takes = ", ".join(f"{input_name} {sizes}" for input_name, sizes in shapes.items())
+    raise ValueError(f"{name} takes {takes} and gives {', '.join(outputs)}: {_NEEDED}")
 
 
 def _size(shape: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:
     """Width and height of the image that a model gets for a frame.  shape: (n, c, h, w) of the model's input, 0 where free."""
     _, _, height, width = shape
     scale = min(long_side_px / max(frame.view.width, frame.view.height), 1.0)
-    default = [max(round(n * scale / _STRIDE), 1) * _STRIDE for n in (frame.view.width, frame.view.height)]
-    return width or default[0], height or default[1]
+    free_width = max(round(frame.view.width * scale / _STRIDE), 1) * _STRIDE
+    free_height = max(round(frame.view.height * scale / _STRIDE), 1) * _STRIDE
+    return width or free_width, height or free_height
 
 
 def _model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
-    """Input of a model for an image: (1, c, h, w), 0 to 1."""
-    smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
-    image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), dtype=np.uint8)
+    """Input of a model for an image (h, w, 3): (1, c, h, w), 0 to 1, of this width and height."""
+    is_smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
+    interpolation = cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR  # areas: nothing aliases
+    image = np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
     planes = grey_levels(image)[None] if channels == 1 else image.transpose(2, 0, 1)
     return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
 
 
-def _run(name: str, session: Any, images: list[Float32s]) -> tuple[Float64s, Float64s, Float32s]:
-    """Run a model on two images: matches (n, 2), (n, 2) in pixels of each, and scores (n,)."""
-    single_input = len(session.get_inputs()) == 1
-    inputs = {_ONE_INPUT[0]: np.concatenate(images)} if single_input else dict(zip(_TWO_INPUTS, images, strict=True))
+def _run(
+    name: str, session: Any, interface: _Interface, left_image: Float32s, right_image: Float32s
+) -> tuple[Float64s, Float64s, Float32s]:
+    """Run a model on two images.
+
+    Parameters
+    ----------
+    name : the file's name, for messages.
+    session : the model, ready to run.
+    interface : its inputs and outputs.
+    left_image, right_image : (1, c, h, w) float32.
+
+    Returns
+    -------
+    Matches (n, 2), (n, 2) in pixels of each image, and scores (n,).
+    """
+    if interface is _ONE_BATCH:
+        inputs = {interface.inputs[0]: np.concatenate([left_image, right_image])}
+    else:
+        inputs = dict(zip(interface.inputs, (left_image, right_image), strict=True))
     try:
-        outputs = session.run([*(_ONE_OUTPUTS if single_input else _TWO_OUTPUTS)], inputs)
+        outputs = session.run([*interface.outputs], inputs)
     except Exception as error:  # as above
         raise ValueError(f"{name}: ONNX Runtime cannot run it: {_shortened(error)}") from None
     return _parse_outputs(name, outputs)
@@ -122,13 +168,21 @@ def _run(name: str, session: Any, images: list[Float32s]) -> tuple[Float64s, Flo
 
 def _parse_outputs(name: str, outputs: list[Any]) -> tuple[Float64s, Float64s, Float32s]:
     """Matches and scores, as `_run` returns them, from a model's outputs."""
-    *points, matches, scores = outputs
-    points1, points2 = (np.asarray(p, dtype=np.float64).reshape(-1, 2) for p in (points if len(points) == 2 else points[0]))
+    # keypoints: two outputs (1, n, 2), or one (2, n, 2)
+    *keypoints, matches, scores = outputs
+    left_keypoints, right_keypoints = keypoints if len(keypoints) == 2 else keypoints[0]
+    points1 = np.asarray(left_keypoints, dtype=np.float64).reshape(-1, 2)
+    points2 = np.asarray(right_keypoints, dtype=np.float64).reshape(-1, 2)
+
     rows = np.asarray(matches).astype(np.int64)
     if rows.ndim == 2 and rows.shape[1] in {2, 3} and rows.shape[0] == scores.size:
-        i1, i2 = rows[:, -2], rows[:, -1]
+        # (m, 2) rows of both keypoints, or (m, 3) with the index of the pair first
+        i1 = rows[:, -2]
+        i2 = rows[:, -1]
     elif rows.size == len(points1):
-        i1, i2 = np.arange(rows.size), rows.ravel()
+        # one right keypoint for each left one, negative for none
+        i1 = np.arange(rows.size)
+        i2 = rows.ravel()
     else:
         raise ValueError(f"{name} gives matches of shape {rows.shape} for {len(points1)} and {len(points2)} keypoints: {_NEEDED}")
     if scores.size != len(i1):
@@ -143,9 +197,10 @@ def _in_frame(points: Float64s, size: tuple[int, int], frame: Frame) -> Float64s
     return np.asarray((points + 0.5) * scale - 0.5, dtype=np.float64)
 
 
-def _usable(x: Float64s, frame: Frame) -> Any:
+def _usable(x: Float64s, frame: Frame) -> Bools:
     """(n,) whether points are inside the frame and its mask."""
     column, row = np.rint(x).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < frame.view.width) & (row < frame.view.height)
+    # the mask is read only where there are pixels
     inside[inside] = frame.mask[row[inside], column[inside]]
-    return inside
+    return np.asarray(inside, dtype=np.bool_)
