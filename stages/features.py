@@ -9,6 +9,7 @@ CVPR 2012).  A second set of keypoints comes from the frame compressed by 2 in x
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -25,14 +26,18 @@ from .types import Bools, Features, Float32s, Float64s, Frame, Int64s, Uint8s
 
 Preprocessing = Literal["auto", "none", "clahe"]
 
-DARK_GREY, FLAT_RANGE = 50.0, 25.0
-"""Grey levels (0 to 255): CLAHE is applied if the median is below the first, or the 10 to 90 % range below the second."""
+DARK_GREY = 50.0
+"""CLAHE is applied if the median grey level is below this (0 to 255): night, lamps."""
+FLAT_RANGE = 25.0
+"""CLAHE is applied if the range from the 10th to the 90th percentile of the grey levels is below this: fog."""
 ANGLE_SEAM_DEG = 45.0
 """SIFT repeats a keypoint for each strong gradient direction; only the first one from this angle on is kept.  Upright cameras
 then choose the same one (edges are mostly level or plumb, and the seam lies between), and repeats do not use up the quota."""
-LARGEST_PX, OVERLAP_PX = 6_500_000, 256
-"""Larger images are searched in bands, since all scales of one pixel take 230 bytes.  Bands overlap by `OVERLAP_PX` pixels and
-begin at multiples of it, so that coarse scales are sampled at the same places."""
+LARGEST_PX = 6_500_000
+"""Images with more pixels are searched in bands of at most about as many, since all scales of one pixel take 230 bytes."""
+OVERLAP_PX = 256
+"""Rows by which bands overlap on each side.  They begin at multiples of it, so that coarse scales are sampled at the same
+places as in the whole image."""
 
 
 def detect(
@@ -60,32 +65,57 @@ def detect(
         that and "none" by the image, because "clahe" finds fewer keypoints by day.
     min_keypoints : reject the frame if the plain view has fewer.
     """
+    # 1. grey levels, equalised if they are dark or flat
     grey = grey_levels(frame.image)
     equalise = preprocessing == "clahe" or (preprocessing == "auto" and _has_low_contrast(grey, frame.mask))
     if equalise:
         grey = _equalised(grey)
+
+    # 2. the plain view: it alone decides whether the frame is usable
     plain = _detect_view(grey, contrast_threshold, frame.mask, max_keypoints, grid_columns, crowding)
-    if len(plain[0]) < min_keypoints:
-        figures = {"keypoints": len(plain[0]), "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
+    count = len(plain.xy)
+    if count < min_keypoints:
+        figures = {"keypoints": count, "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
         return Rejected(Reason.TOO_FEW_KEYPOINTS, figures)
+
+    # 3. the view compressed in x
     views = [plain]
     if tilted_keypoints > 0:
         views.append(_detect_tilted(grey, contrast_threshold, frame.mask, tilted_keypoints, grid_columns, crowding))
-    xy, frames, descriptors, responses = (np.concatenate(parts) for parts in zip(*views, strict=True))
-    tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(v[0]) for v in views])
-    count, prepared = len(plain[0]), "clahe" if equalise else "none"
-    lookalikes = nearest_lookalike(plain[2], plain[0], count)
-    return Features(xy, frames, descriptors, responses, tilts, frame.view, lookalikes, count, prepared)
+
+    # 4. how distinctive each plain keypoint is in its own image
+    lookalikes = nearest_lookalike(plain.descriptors, plain.xy, count)
+
+    # a view's place in the list is its value of `tilts`: PLAIN, TILTED
+    tilts = np.repeat(np.arange(len(views), dtype=np.uint8), [len(view.xy) for view in views])
+    return Features(
+        xy=np.concatenate([view.xy for view in views]),
+        frames=np.concatenate([view.frames for view in views]),
+        descriptors=np.concatenate([view.descriptors for view in views]),
+        responses=np.concatenate([view.responses for view in views]),
+        tilts=tilts,
+        view=frame.view,
+        lookalikes=lookalikes,
+        plain_keypoints=count,
+        preprocessing="clahe" if equalise else "none",
+    )
 
 
-_Keypoints = tuple[Float64s, Float64s, Float32s, Float32s]
-"""xy, frames, descriptors and responses of one view's keypoints."""
+@dataclass(frozen=True)
+class _Keypoints:
+    """The keypoints of one view; fields as in `Features`."""
+
+    xy: Float64s
+    frames: Float64s
+    descriptors: Float32s
+    responses: Float32s
 
 
 def _has_low_contrast(grey: Uint8s, mask: Bools) -> bool:
     """True for a dark image (night, lamps), or one with a narrow range of grey levels (fog)."""
     if not mask.any():
         return False
+    # every seventh usable pixel is enough for percentiles
     low, median, high = np.percentile(grey[mask][::7], [10, 50, 90])
     return bool(median < DARK_GREY or high - low < FLAT_RANGE)
 
@@ -100,38 +130,80 @@ def _equalised(grey: Uint8s) -> Uint8s:
 
 
 def _detect_view(grey: Uint8s, contrast: float, mask: Bools, quota: int, grid_columns: int, crowding: float) -> _Keypoints:
+    """Keypoints of a grey image (h, w), strongest first.
+
+    Parameters
+    ----------
+    grey, mask : the image, and its pixels that may be used.
+    contrast : smallest contrast, as `contrast_threshold` of `detect`.
+    quota : most keypoints kept.
+    grid_columns, crowding : as in `detect`.
+    """
+    # 1. blobs of all bands; a small image is one band, whose pyramid is kept for step 3
     bands = _bands(*grey.shape)
+    is_whole = len(bands) == 1
     octaves: Pyramid = ()
-    found_blobs, band_numbers = [], []
-    for number, (start, top, bottom, stop) in enumerate(bands):
-        octaves = pyramid(grey[start:stop])
-        blobs = find_blobs(octaves, contrast).lower_by(start)
-        found_blobs.append(blobs.at((blobs.y >= top) & (blobs.y < bottom)) if len(bands) > 1 else blobs)
-        band_numbers.append(np.full(len(found_blobs[-1].x), number))
-    blobs, band = Blobs.joined(found_blobs), np.concatenate(band_numbers)
+    found_blobs = []
+    band_numbers = []
+    for number, band in enumerate(bands):
+        octaves = pyramid(grey[band.start : band.stop])
+        found = find_blobs(octaves, contrast).lower_by(band.start)
+        if not is_whole:
+            found = found.at((found.y >= band.top) & (found.y < band.bottom))
+        found_blobs.append(found)
+        band_numbers.append(np.full(len(found.x), number))
+    blobs = Blobs.joined(found_blobs)
+    band_of = np.concatenate(band_numbers)
+
+    # 2. the strongest, spread over the image
     chosen = _spread(blobs, _usable(blobs, mask), grey.shape, quota, grid_columns, crowding)
-    blobs, band = blobs.at(chosen), band[chosen]
-    angles, descriptors = np.empty(len(chosen)), np.empty((len(chosen), LENGTH), np.float32)
-    for number, (start, _, _, stop) in enumerate(bands):
-        octaves = pyramid(grey[start:stop]) if len(bands) > 1 else octaves
-        band_blobs = blobs.at(band == number).lower_by(-start)
-        angles[band == number] = angle = main_directions(octaves, band_blobs, np.radians(ANGLE_SEAM_DEG))
-        descriptors[band == number] = describe(octaves, band_blobs, angle)
-    c, s = 2 * blobs.sigma * np.cos(angles), 2 * blobs.sigma * np.sin(angles)
+    blobs = blobs.at(chosen)
+    band_of = band_of[chosen]
+
+    # 3. directions and descriptors of these, from pyramids that are made again: in memory, one of them is enough
+    angles = np.empty(len(chosen))
+    descriptors = np.empty((len(chosen), LENGTH), np.float32)
+    for number, band in enumerate(bands):
+        if not is_whole:
+            octaves = pyramid(grey[band.start : band.stop])
+        in_band = band_of == number
+        band_blobs = blobs.at(in_band).lower_by(-band.start)
+        band_angles = main_directions(octaves, band_blobs, np.radians(ANGLE_SEAM_DEG))
+        angles[in_band] = band_angles
+        descriptors[in_band] = describe(octaves, band_blobs, band_angles)
+
+    # 4. local frames s R(angle), with s of two sigmas
+    c = 2 * blobs.sigma * np.cos(angles)
+    s = 2 * blobs.sigma * np.sin(angles)
     frames = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-    # RootSIFT: unit length follows from the L1 normalisation
-    root_sift = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
-    return np.column_stack([blobs.x, blobs.y]), frames, root_sift, blobs.response.astype(np.float32)
+
+    # 5. RootSIFT: unit length follows from the L1 normalisation
+    l1_length = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
+    root_sift = np.sqrt(descriptors / l1_length).astype(np.float32)
+    return _Keypoints(np.column_stack([blobs.x, blobs.y]), frames, root_sift, blobs.response.astype(np.float32))
 
 
-def _bands(height: int, width: int) -> list[tuple[int, int, int, int]]:
-    """Row limits of the bands of a large image: (first row read, first and end row whose keypoints count, end row read)."""
-    count = -(-height * width // LARGEST_PX)
-    edges = [height * band // count for band in range(count + 1)]
-    return [
-        (max(top // OVERLAP_PX - 1, 0) * OVERLAP_PX, top, bottom, min(bottom + OVERLAP_PX, height))
-        for top, bottom in pairwise(edges)
-    ]
+@dataclass(frozen=True)
+class _Band:
+    """Rows of a large image that are searched at a time."""
+
+    start: int
+    stop: int
+    """First row read, and the row after the last one."""
+    top: int
+    bottom: int
+    """First row whose keypoints count, and the row after the last one: each row counts in one band only."""
+
+
+def _bands(height: int, width: int) -> list[_Band]:
+    """The bands of an image, from the top; one for an image of at most `LARGEST_PX`."""
+    count = -(-height * width // LARGEST_PX)  # rounded up
+    edges = [height * number // count for number in range(count + 1)]
+    bands = []
+    for top, bottom in pairwise(edges):
+        start = max(top // OVERLAP_PX - 1, 0) * OVERLAP_PX
+        bands.append(_Band(start, min(bottom + OVERLAP_PX, height), top, bottom))
+    return bands
 
 
 def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, quota: int, grid_columns: int, crowding: float) -> _Keypoints:
@@ -141,9 +213,11 @@ def _detect_tilted(grey: Uint8s, contrast: float, mask: Bools, quota: int, grid_
     smooth = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.2, sigmaY=1e-3)
     narrow = np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
     narrow_mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    xy, frames, descriptors, responses = _detect_view(narrow, contrast, narrow_mask, quota, max(grid_columns // 2, 1), crowding)
+    # half as many columns: cells stay square
+    found = _detect_view(narrow, contrast, narrow_mask, quota, max(grid_columns // 2, 1), crowding)
+    # pixel centres are at integers: the edges of the images correspond, not the centres of their first pixels
     stretch = np.array([w / size[0], 1.0])
-    return (xy + 0.5) * stretch - 0.5, stretch[:, None] * frames, descriptors, responses
+    return replace(found, xy=(found.xy + 0.5) * stretch - 0.5, frames=stretch[:, None] * found.frames)
 
 
 def _usable(blobs: Blobs, mask: Bools) -> Bools:
@@ -162,12 +236,20 @@ def _spread(blobs: Blobs, usable: Bools, shape: tuple[int, ...], quota: int, gri
 
     A more even spread finds more matches at 50 to 60 degrees but loses a tenth elsewhere: weak keypoints are not found again.
     """
+    # strongest first; places and sizes decide between equal ones, so that the order never depends on that of the blobs
     order = np.lexsort((blobs.sigma, blobs.y, blobs.x, -blobs.response))
     order = order[usable[order]]
     if len(order) <= quota:
         return np.asarray(order)
+
+    # rank of each keypoint in its square cell
     cell = shape[1] / grid_columns
-    cells = (blobs.y[order] // cell).astype(np.int64) * (grid_columns + 1) + (blobs.x[order] // cell).astype(np.int64)
-    share = quota * cell * cell / (shape[0] * shape[1])
-    crowded = rank_within(cells, np.arange(len(cells))) >= crowding * share
-    return np.asarray(order[np.sort(np.lexsort((np.arange(len(order)), crowded))[:quota])])
+    row = (blobs.y[order] // cell).astype(np.int64)
+    column = (blobs.x[order] // cell).astype(np.int64)
+    rank = rank_within(row * (grid_columns + 1) + column, np.arange(len(order)))
+
+    # crowded ones behind all others; those that stay are in the order of strength again
+    even_share = quota * cell * cell / (shape[0] * shape[1])
+    crowded = rank >= crowding * even_share
+    kept = np.lexsort((np.arange(len(order)), crowded))[:quota]
+    return np.asarray(order[np.sort(kept)])
