@@ -52,6 +52,7 @@ def match(
     matches: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()
     if isinstance(matches, Rejected):
         return matches
+    # a matcher returns what it finds, however little: the limit is the stage's, the same for all of them
     if len(matches.x1) < min_matches:
         return Rejected(Reason.TOO_FEW_MATCHES, {"matches": len(matches.x1), "needed": min_matches})
     return replace(matches, matcher=matcher)

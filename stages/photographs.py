@@ -33,9 +33,15 @@ def read_frame(
     mask : an image file of the photograph's size; pixels that are not zero may be used.
     resolution : long side of the frame in pixels; None: as photographed.
     """
-    lens = Lens(K, np.zeros(5) if distortion is None else np.asarray(distortion, dtype=np.float64), hfov_deg)
-    return clean_frame([_capture(path)], lens, None if mask is None else _capture(mask), resolution=resolution)
+    if distortion is None:
+        distortion = np.zeros(5)
+    lens = Lens(K, np.asarray(distortion, dtype=np.float64), hfov_deg)
+    mask_capture = None
+    if mask is not None:
+        mask_capture = _capture(mask)
+    return clean_frame([_capture(path)], lens, mask_capture, resolution=resolution)
 
 
 def _capture(path: str | PathLike[str]) -> Capture:
+    """The bytes of a file, as the pipeline passes them to the stages."""
     return Capture(str(path), np.frombuffer(Path(path).read_bytes(), dtype=np.uint8))
