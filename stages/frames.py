@@ -23,7 +23,7 @@ from .capture.levels import EIGHT_BITS, Levels, Values, levels_of
 from .capture.privacy import blanked, private_area, with_margin
 from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
 from .capture.straight import CapturePinhole
-from .capture.video import all_pictures
+from .capture.video import DamagedVideo, all_pictures
 from .io.image_headers import focal_in_long_sides, has_deep_values, largest_stated_value, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
 
@@ -73,6 +73,7 @@ def clean_frame(
     used_levels = _night_levels(chosen) if levels is None else Levels(*levels)
     pictures: list[_Picture] = []
     faults: list[BadCapture] = []
+    damages: list[str] = []
     camera: CapturePinhole | None = None
     for capture in chosen:
         try:
@@ -81,13 +82,15 @@ def clean_frame(
                 if camera is None or lens.K is None or image.shape[:2] != (camera.height, camera.width):
                     camera = CapturePinhole.of(image, _lens_with_exif(lens, capture, image), name, whole_field)
                 pictures.append(_cleaned(image, camera, name, privacy, resolution))
+        except DamagedVideo as error:  # raised after its sound frames, which are used
+            damages.append(str(error))
         except BadCapture as error:
             if len(captures) == 1:
                 raise
             faults.append(error)
     if not pictures:
         raise BadCapture(f"none of this night's captures can be used: {_summary(faults)}")
-    notes = [f"{fault}; left out" for fault in faults]
+    notes = [f"{fault}; left out" for fault in faults] + damages
     pictures = _evenly_chosen(_of_common_size(pictures, notes), max_captures)
     notes += pictures[0].camera.loss_notes()
     notes += _notes_on_files(chosen, used_levels)

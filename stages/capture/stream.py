@@ -1,16 +1,22 @@
-"""Images of a live video stream, each the first at or after its requested time."""
+"""Images of a live video stream, each the first sound one at or after its requested time."""
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Sequence
+from typing import Any
 
+import av
 import cv2
+
+from .video import sound_frames, upright
 
 _QUALITY = 95
 """JPEG quality of the written files; the stream itself has been compressed before."""
-_YEAR_2000_US = 946_684_800e6
+_YEAR_2000_US = 946_684_800_000_000
+"""Times of a sender before this one, microseconds since 1970, are of a clock that was never set, or not known yet."""
+_OVER_TCP = {"rtsp_transport": "tcp"}
+"""Without lost packets; FFmpeg's default, UDP, is blocked by many networks."""
 
 
 def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iterator[tuple[bytes, float | None]]:
@@ -19,23 +25,49 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
     url: with user and password, if needed; patience: timeout in seconds of opening the stream, and of each image.  Raises
     OSError if the stream cannot be opened or decoded, or ends; the message does not contain the URL.
     """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own messages contain the password
-    limit = int(1000 * patience)
-    video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit])
+    options = _OVER_TCP if url.startswith("rtsp") else {}
     try:
-        if not video.isOpened():
-            raise OSError("the stream cannot be opened: look at its address, user and password")
-        for moment in moments:
-            while video.grab():
-                if time.time() >= moment:
-                    break
-            else:
+        container: Any = av.open(url, options=options, timeout=patience)
+    except (av.error.FFmpegError, OSError) as error:
+        raise OSError(f"the stream cannot be opened: look at its address, user and password ({_reason(error)})") from None
+    with container:
+        if not container.streams.video:
+            raise OSError("the stream holds no video")
+        try:
+            yield from _at(moments, container, patience)
+        except av.error.FFmpegError as error:
+            raise OSError(f"the stream cannot be read: {_reason(error)}") from None
+
+
+def _at(moments: Sequence[float], container: Any, patience: float) -> Iterator[tuple[bytes, float | None]]:
+    frames = sound_frames(container)
+    for moment in moments:
+        while True:
+            frame = next(frames, _ENDED)
+            if frame is _ENDED:
                 raise OSError("the stream has ended")
-            is_complete, image = video.retrieve()
-            if not is_complete or image is None:
+            now = time.time()
+            if frame is not None and now >= moment:
+                break
+            if now > moment + patience:
                 raise OSError("the stream sends what cannot be decoded")
-            opened = video.get(cv2.CAP_PROP_STREAM_OPEN_TIME_USEC)  # from the sender's report; meaningless until that has arrived
-            sent_at = (opened / 1e6 + video.get(cv2.CAP_PROP_POS_MSEC) / 1e3) if opened > _YEAR_2000_US else None
-            yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), sent_at
-    finally:
-        video.release()
+        image = upright(frame, "bgr24")
+        yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), _sent_at(container, frame)
+
+
+_ENDED = object()
+
+
+def _sent_at(container: Any, frame: Any) -> float | None:
+    """When a frame was sent by the sender's clock, Unix time; None as long as it has not reported its clock."""
+    begun = getattr(container, "start_time_realtime", None)
+    if begun is None or begun < _YEAR_2000_US or frame.time is None:
+        return None
+    stream = container.streams.video[0]
+    first = float((stream.start_time or 0) * stream.time_base)
+    return float(begun / 1e6 + frame.time - first)
+
+
+def _reason(error: Exception) -> str:
+    """FFmpeg's message without the address, which may hold a password."""
+    return str(getattr(error, "strerror", "") or type(error).__name__)

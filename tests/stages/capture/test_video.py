@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+import io
+import struct
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from wbflow_stages.capture.files import BadCapture
-from wbflow_stages.capture.video import one_picture, pictures
+from wbflow_stages.capture.video import DamagedVideo, one_picture, pictures
 from wbflow_stages.frames import clean_frame
-from wbflow_stages.types import Capture, Lens
+from wbflow_stages.types import Capture, Lens, Uint8s
 
 SIZE = (160, 96)
 
@@ -49,3 +54,137 @@ def test_a_file_that_is_not_a_video_is_refused_by_name(tmp_path: Path) -> None:
         clean_frame([Capture("gate.mp4", np.arange(200, dtype=np.uint8))], Lens(), None)
     with pytest.raises(BadCapture, match="empty"):
         clean_frame([Capture("gate.mp4", np.zeros(0, np.uint8))], Lens(), None)
+
+
+FRAMES = 48
+
+
+def sent() -> list[Uint8s]:
+    """What a camera sends: a scene with noise, through which an object moves."""
+    rng = np.random.default_rng(1)
+    still = cv2.resize(rng.integers(60, 220, (8, 12, 3), np.uint8), (320, 192), interpolation=cv2.INTER_CUBIC)
+    frames = []
+    for k in range(FRAMES):
+        frame = still + rng.normal(0, 3, still.shape)
+        frame[60:120, 4 * k : 4 * k + 40] = 20
+        frames.append(np.clip(frame, 0, 255).astype(np.uint8))
+    return frames
+
+
+SENT = sent()
+
+
+def coded(container: str, codec: str, **options: str) -> bytes:
+    """The frames as a video with a key frame every 12 frames."""
+    return _coded(container, codec, tuple(options.items()))
+
+
+@functools.cache
+def _coded(container: str, codec: str, options: tuple[tuple[str, str], ...]) -> bytes:
+    file = io.BytesIO()
+    with av.open(file, "w", format=container) as output:
+        stream: Any = output.add_stream(codec, rate=25, options=dict(options))
+        stream.width, stream.height, stream.gop_size, stream.bit_rate = 320, 192, 12, 2_000_000
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        for k, image in enumerate(SENT):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts = k
+            output.mux(stream.encode(frame))
+        output.mux(stream.encode(None))
+    return file.getvalue()
+
+
+def shown(data: bytes) -> tuple[list[float], bool]:
+    """How far each picture taken from a video is from what the camera sent, mean grey levels; and was damage reported?"""
+    distances = []
+    all_sent = np.array(SENT, np.float32)[:, ::4, ::4]
+    try:
+        for _, image in pictures(Capture("gate.mp4", np.frombuffer(data, np.uint8)), 1, 1000):
+            distances.append(float(np.abs(all_sent - image[::4, ::4]).mean(axis=(1, 2, 3)).min()))
+    except DamagedVideo:
+        return distances, True
+    return distances, False
+
+
+INTERLACED = {"flags": "+ilme+ildct"}
+KINDS = [
+    ("mp4", "libx264", {}),
+    ("mp4", "libx264", INTERLACED),
+    ("mpegts", "libx264", INTERLACED),
+    ("h264", "libx264", {}),
+    ("mpegts", "mpeg2video", INTERLACED),
+    ("mpeg", "mpeg2video", {}),
+    ("avi", "mpeg4", {}),
+    ("avi", "mjpeg", {}),
+    ("matroska", "libx265", {"x265-params": "log-level=none"}),
+]
+
+
+@pytest.mark.parametrize(("container", "codec", "options"), KINDS)
+def test_all_frames_are_those_that_the_camera_sent(container: str, codec: str, options: dict[str, str]) -> None:
+    distances, is_damaged = shown(coded(container, codec, **options))
+    assert len(distances) == FRAMES and not is_damaged
+    assert max(distances) < 6
+
+
+@pytest.mark.parametrize(("container", "codec", "options"), KINDS[:-1])
+@pytest.mark.parametrize("kind", ["lost", "flipped", "cut", "begun late"])
+def test_no_frame_is_shown_that_the_camera_did_not_send(container: str, codec: str, options: dict[str, str], kind: str) -> None:
+    whole = coded(container, codec, **options)
+    data = bytearray(whole)
+    middle = len(data) // 2
+    if kind == "lost":
+        data[middle : middle + 4000] = bytes(4000)
+    elif kind == "flipped":
+        for place in np.random.default_rng(2).integers(8000, len(data) - 8000, 6):
+            data[place] ^= 0x10
+    elif container == "mp4":
+        return  # without its index, which lies at the end, such a file cannot be opened: see the test of truncated files
+    elif kind == "cut":
+        del data[6 * len(data) // 10 :]
+    else:
+        del data[:middle]
+    try:
+        distances, _ = shown(bytes(data))
+    except BadCapture:  # nothing can be shown
+        return
+    assert not distances or max(distances) < 9
+
+
+def test_damage_is_noted_and_the_sound_frames_are_used() -> None:
+    data = bytearray(coded("mp4", "libx264"))
+    data[len(data) // 2 : len(data) // 2 + 3000] = bytes(3000)
+    frame = clean_frame([Capture("gate.mp4", np.frombuffer(bytes(data), np.uint8))], Lens(), None, video_step=5)
+    assert any("gate.mp4 is damaged" in note and "not used" in note for note in frame.notes)
+    assert frame.frames_used >= 5
+
+
+def test_a_truncated_mp4_is_refused() -> None:
+    data = coded("mp4", "libx264")
+    with pytest.raises(BadCapture, match="no video that can be read"):
+        shown(data[: 6 * len(data) // 10])
+
+
+@pytest.mark.parametrize(("matrix", "quarter_turns"), [((0, 1, -1, 0), 3), ((-1, 0, 0, -1), 2), ((0, -1, 1, 0), 1)])
+def test_a_turned_video_is_shown_upright(matrix: tuple[int, int, int, int], quarter_turns: int) -> None:
+    data = coded("mp4", "libx264")
+    a, b, c, d = (65536 * value for value in matrix)
+    place = data.index(b"tkhd") + 44
+    turned = data[:place] + struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30) + data[place + 36 :]
+    plain, upright = (one_picture(Capture("gate.mp4", np.frombuffer(file, np.uint8))) for file in (data, turned))
+    assert np.array_equal(upright, np.rot90(plain, quarter_turns))
+
+
+@pytest.mark.parametrize("name", ["gate.jpg", "gate", "gate.dav"])
+def test_a_video_with_the_name_of_a_picture_is_read_as_a_video(name: str) -> None:
+    for data in (coded("mp4", "libx264"), coded("avi", "mjpeg"), coded("mpegts", "libx264"), coded("matroska", "libx264")):
+        assert np.abs(one_picture(Capture(name, np.frombuffer(data, np.uint8))).astype(float) - SENT[0]).mean() < 6
+
+
+def test_a_playlist_opens_no_other_file(tmp_path: Path) -> None:
+    (tmp_path / "secret.ts").write_bytes(coded("mpegts", "libx264"))
+    playlist = f"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\nfile://{tmp_path}/secret.ts\n#EXT-X-ENDLIST\n"
+    concat = f"ffconcat version 1.0\nfile {tmp_path}/secret.ts\n"
+    for text in (playlist, concat):
+        with pytest.raises(BadCapture):
+            one_picture(Capture("gate.mp4", np.frombuffer(text.encode(), np.uint8)))
