@@ -20,22 +20,75 @@ from ..types import Float32s, Int32s, Int64s, Uint32s, Uint64s
 
 UNSEEN = 2.0
 """Cost of a plane that no source sees; costs of planes that are seen are between 0 and 1."""
-_FLAT = 0.05  # grey levels squared: patches with less variance are flat, and cost _FLAT_COST
+
+_FLAT = 0.05
+"""Variance below which a patch is flat, grey levels squared: its correlation would be that of rounding."""
+
 _FLAT_COST = 0.95
+"""Cost of a flat patch: a little less than that of no correlation, so that a plane that is seen beats none."""
+
 _SOFTNESS = 12.0
-"""Difference from the centre, in grey levels, at which a patch's pixel has half weight."""
+"""Difference from the centre, in grey levels, at which a patch's pixel has half weight: larger, and patches blur over edges."""
+
 NOISE = 65537
 """Length of the table of random numbers; a prime, so that steps of a block reach every entry."""
+
 _NEAREST = 1e-6
+"""Smallest depth in a source, in units of the homogeneous coordinate; a point that is nearer, or behind, is not seen."""
+
+_FIRST_SHIFT_PX = 0.5
+"""Largest random shift of the first pass, in pixels of a source; it halves with each change and each pass."""
+
+_FIRST_TURN = 0.1
+"""Largest random tilt of the first pass, in pixels of a source per pixel; it halves with each pass."""
 
 BLOCK = 128
+"""Pixels of a row that are processed together."""
 
-# Scratch is a flat array of rows of BLOCK at offsets known to the compiler, which then sees that they do not overlap.
-_U, _V, _UX, _UY, _VX, _VY, _DEPTH, _START, _PLACE, _FX, _FY, _CENTRE, _MEAN, _SQUARE, _PRODUCT, _SCALE, _SCRATCH = (
-    i * BLOCK for i in range(17)
-)
-_Q, _A, _B, _TRIAL = (i * BLOCK for i in range(4))
-_SPREAD, _TOTAL, _OFFSET, _TAPS = (i * BLOCK for i in range(4))
+# The kernels write into flat scratch arrays, in rows of BLOCK at offsets that the compiler knows: it then sees that rows do not
+# overlap, and vectorises.  There is one array of scratch for each purpose below; the last constant of each is its length.
+
+# Scratch `s`: the projection of the planes in one source each, and the sums of the comparison there.
+_U = 0 * BLOCK
+"""Column in the source."""
+_V = 1 * BLOCK
+"""Row in the source."""
+_UX = 2 * BLOCK
+"""Derivatives of the position in x and y, the view's pixels: du/dx, du/dy, dv/dx, dv/dy."""
+_UY = 3 * BLOCK
+_VX = 4 * BLOCK
+_VY = 5 * BLOCK
+_DEPTH = 6 * BLOCK
+"""Homogeneous coordinate, positive before the source."""
+_START = 7 * BLOCK
+"""Index of the source's first pixel, an int32 in the bits of a float32; so is the next."""
+_PLACE = 8 * BLOCK
+"""Index of the source's pixel at a tap."""
+_FX = 9 * BLOCK
+"""Fractional position within that pixel; later the grey level there (_FX)."""
+_FY = 10 * BLOCK
+_CENTRE = 11 * BLOCK
+"""Grey level of the source at the patch's centre."""
+_MEAN = 12 * BLOCK
+"""Weighted sums over the patch in the source: grey level, its square, its product with the patch in the view."""
+_SQUARE = 13 * BLOCK
+_PRODUCT = 14 * BLOCK
+_SCALE = 15 * BLOCK
+"""Pixels of movement per unit of q in the source where that is largest."""
+_SCRATCH = 16 * BLOCK
+
+# Scratch `trial`: planes to be tried; q = 0: none.
+_Q = 0 * BLOCK
+_A = 1 * BLOCK
+_B = 2 * BLOCK
+_TRIAL = 3 * BLOCK
+
+# Scratch `window`: of a patch in the view its standard deviation, sum of weights, mean difference from the centre; then, from
+# _TAPS on, a row of weights for each tap, and a row of weighted differences for each tap.
+_SPREAD = 0 * BLOCK
+_TOTAL = 1 * BLOCK
+_OFFSET = 2 * BLOCK
+_TAPS = 3 * BLOCK
 
 
 class View(NamedTuple):
@@ -71,17 +124,150 @@ class Support(NamedTuple):
     """Sum of |dpixel/dq|^2 over these sources: the information on q for a noise of one pixel."""
 
 
+@kernel
+def propagate(
+    view: View,
+    noise: Float32s,
+    number: int,
+    rings: Int64s,
+    changes: int,
+    low: Scalar,
+    high: Scalar,
+    planes: Float32s,
+    cost: Float32s,
+    best: Int32s,
+) -> None:
+    """One pass over the image, in place.
+
+    A plane is tried in the source that is best here, the one that is best where the plane comes from, and one more in turn: half
+    of six sources are enough.
+
+    Parameters
+    ----------
+    view : the view and its sources.
+    noise : (NOISE + BLOCK,) random numbers from -1 to 1.
+    number : of the pass; even ones go down, odd ones up.
+    rings : (n, 2) neighbours that planes come from: columns and rows back along the direction of the pass.
+    changes : random changes of its own plane that each pixel tries.
+    low, high : limits of q.
+    planes : (3, h, w) q, A, B, changed in place; nan: none.
+    cost : (h, w) of the planes, changed in place.
+    best : (h, w) index of the source with that cost, changed in place.
+    """
+    image, usable, pairs, height, width, M, b, taps, reach = view
+    h, w = cost.shape
+    count = len(M)
+    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    scratch = np.zeros(_SCRATCH, dtype=np.float32)
+    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
+    trial = np.zeros(_TRIAL, dtype=np.float32)
+    trial_cost = np.zeros(BLOCK, dtype=np.float32)
+    # the source of each pixel that a plane is tried in
+    there = np.zeros(BLOCK, dtype=np.int32)
+    here = np.zeros(BLOCK, dtype=np.int32)
+    in_turn = np.zeros(BLOCK, dtype=np.int32)
+    blocks = (w + BLOCK - 1) // BLOCK
+    step = -1 if number % 2 == 0 else 1
+    start = 0
+    for i in range(h):
+        y = i if step < 0 else h - 1 - i
+        for j in range(blocks):
+            x0 = (j if step < 0 else blocks - 1 - j) * BLOCK
+            n = min(BLOCK, w - x0)
+            if not usable[y + reach, x0 + reach : x0 + reach + n].any():
+                continue
+            _windows(image, usable, taps, reach, y, x0, n, window)
+
+            # 1. In the first pass, score the planes that are there, in every source.
+            if number == 0:
+                _own_planes(planes, y, x0, n, trial)
+                for k in range(count):
+                    in_turn[:] = k
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, in_turn, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, in_turn, trial_cost)
+
+            # 2. Try the planes of neighbours that this pass has been at.
+            for attempt in range(len(rings)):
+                dx = step * rings[attempt, 0]
+                dy = step * rings[attempt, 1]
+                if not 0 <= y + dy < h:
+                    continue
+                _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, there)
+                _sources_here(best, y, x0, n, here)
+                in_turn[:] = (y + number + attempt) % count
+                for source in (there, here, in_turn):
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+
+            # 3. Try random changes of the own plane: the first only shifts it, the later ones tilt it, too.
+            _own_planes(planes, y, x0, n, trial)
+            _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
+            shift = np.float32(_FIRST_SHIFT_PX / (1 << number))
+            turn = np.float32(0.0)
+            for attempt in range(changes):
+                _own_planes(planes, y, x0, n, trial)
+                _perturb(noise, start, shift, turn, low, high, scratch, trial)
+                start = (start + 3 * BLOCK) % NOISE
+                _sources_here(best, y, x0, n, here)
+                in_turn[:] = (y + number + attempt) % count
+                for source in (here, in_turn):
+                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
+                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                shift *= np.float32(0.5)
+                turn = np.float32(_FIRST_TURN / (1 << number))
+
+
+@kernel
+def evaluate(view: View, planes: Float32s, limit: Scalar, support: Support) -> None:
+    """Write the evidence of all sources for planes (3, h, w); one sees a plane that costs less than `limit` in it."""
+    image, usable, pairs, height, width, M, b, taps, reach = view
+    first, second, sources, parallax = support
+    h, w = first.shape
+    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
+    scratch = np.zeros(_SCRATCH, dtype=np.float32)
+    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
+    trial = np.zeros(_TRIAL, dtype=np.float32)
+    cost = np.zeros(BLOCK, dtype=np.float32)
+    source = np.zeros(BLOCK, dtype=np.int32)
+    for y in range(h):
+        for x0 in range(0, w, BLOCK):
+            n = min(BLOCK, w - x0)
+            _windows(image, usable, taps, reach, y, x0, n, window)
+            _own_planes(planes, y, x0, n, trial)
+            for k in range(len(M)):
+                source[:] = k
+                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, cost)
+                b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+                for x in range(n):
+                    c = cost[x]
+                    # the second lowest first: it needs the old lowest
+                    second[y, x0 + x] = min(second[y, x0 + x], max(c, first[y, x0 + x]))
+                    first[y, x0 + x] = min(first[y, x0 + x], c)
+                    if c < limit:
+                        W = scratch[_DEPTH + x]
+                        moved_x = (b0 - scratch[_U + x] * b2) / W
+                        moved_y = (b1 - scratch[_V + x] * b2) / W
+                        sources[y, x0 + x] |= np.uint32(1) << np.uint32(k)
+                        parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y
+
+
 @helper
 def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int, x0: int, n: int, window: Float32s) -> None:
     """The patches of `n` pixels from (x0, y) on: standard deviation; then for each tap its weights, which sum to 1 over the taps;
     then for each tap weight times (grey - mean).  Weights fall as 1 / (1 + (dI / softness)^2); unusable pixels have 0."""
-    soft, count = np.float32(1.0 / _SOFTNESS), len(taps)
+    soft = np.float32(1.0 / _SOFTNESS)
+    count = len(taps)
     window[:_TAPS] = np.float32(0.0)
     centre = image[y + reach, x0 + reach :]
+
+    # 1. Weights, and differences from the centre, which keep single precision exact.
     for t in range(count):
-        j, i = y + reach + taps[t, 1], x0 + reach + taps[t, 0]
-        grey, use = image[j, i:], usable[j, i:]
-        weights, values = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        j = y + reach + taps[t, 1]
+        i = x0 + reach + taps[t, 0]
+        grey = image[j, i:]
+        use = usable[j, i:]
+        weights = window[_TAPS + t * BLOCK :]
+        values = window[_TAPS + (count + t) * BLOCK :]
         for x in range(n):
             d = grey[x] - centre[x]
             e = d * soft
@@ -91,12 +277,17 @@ def _windows(image: Float32s, usable: Float32s, taps: Int32s, reach: int, y: int
         for x in range(n):
             window[_TOTAL + x] += weights[x]
             window[_OFFSET + x] += weights[x] * values[x]
+
+    # 2. Mean, and the factor that makes the weights sum to 1.
     for x in range(n):
         scale = np.float32(1.0) / max(window[_TOTAL + x], np.float32(1e-6))
         window[_TOTAL + x] = scale
         window[_OFFSET + x] *= scale
+
+    # 3. Subtract the mean; standard deviation.
     for t in range(count):
-        weights, values = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        weights = window[_TAPS + t * BLOCK :]
+        values = window[_TAPS + (count + t) * BLOCK :]
         for x in range(n):
             w = weights[x] * window[_TOTAL + x]
             d = values[x] - window[_OFFSET + x]
@@ -115,24 +306,33 @@ def _project(
     starts = s.view(np.int32)
     row = np.float32(y)
     for k in range(len(M)):
+        # most blocks need only a few of the sources
         present = 0
         for x in range(BLOCK):
             present += source[x] == k
         if present == 0:
             continue
+        # M (x, y, 1) + b q, with what is constant along a row in c0, c1, c2
         m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
         m01, m11, m21 = M[k, 0, 1], M[k, 1, 1], M[k, 2, 1]
-        c0, c1, c2 = m01 * row + M[k, 0, 2], m11 * row + M[k, 1, 2], m21 * row + M[k, 2, 2]
         b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
+        c0 = m01 * row + M[k, 0, 2]
+        c1 = m11 * row + M[k, 1, 2]
+        c2 = m21 * row + M[k, 2, 2]
         start = np.int32(k * height * width)
         for x in range(BLOCK):
             column = np.float32(np.int32(x0) + np.int32(x))
-            q, A, B = trial[_Q + x], trial[_A + x], trial[_B + x]
+            q = trial[_Q + x]
+            A = trial[_A + x]
+            B = trial[_B + x]
             W = m20 * column + c2 + b2 * q
             inverse = np.float32(1.0) / max(W, np.float32(_NEAREST))
             u = (m00 * column + c0 + b0 * q) * inverse
             v = (m10 * column + c1 + b1 * q) * inverse
-            wx, wy = m20 + b2 * A, m21 + b2 * B
+            # quotient rule; q itself changes by A and B per pixel
+            wx = m20 + b2 * A
+            wy = m21 + b2 * B
+            # every value is computed, and kept only where k is the pixel's source: a branch would prevent vectorisation
             in_source = source[x] == k
             s[_U + x] = u if in_source else s[_U + x]
             s[_V + x] = v if in_source else s[_V + x]
@@ -152,41 +352,58 @@ def _costs(
     """1 - ZNCC, 0 to 1, between the patches around (x0, y), (x0 + 1, y), ... and their projections into one source each by the
     planes of `trial`; UNSEEN where there is no plane, or the patch leaves the image or lies behind the camera."""
     _project(height, width, M, b, y, x0, trial, source, s)
-    ints, uints, greys = s.view(np.int32), s.view(np.uint32), fetched.view(np.float32)
-    count, stride = len(taps), np.int32(width)
-    zero, last_column, last_row = np.float32(0.0), np.float32(width - 2), np.float32(height - 2)
+    ints = s.view(np.int32)
+    uints = s.view(np.uint32)
+    greys = fetched.view(np.float32)
+    count = len(taps)
+    stride = np.int32(width)
+    zero = np.float32(0.0)
+    last_column = np.float32(width - 2)
+    last_row = np.float32(height - 2)
     s[_MEAN:_SCALE] = zero
     for t in range(count):
-        dx, dy = np.float32(taps[t, 0]), np.float32(taps[t, 1])
+        # where the tap falls in the source: the patch maps affinely
+        dx = np.float32(taps[t, 0])
+        dy = np.float32(taps[t, 1])
         for x in range(BLOCK):
             at_x = s[_U + x] + dx * s[_UX + x] + dy * s[_UY + x]
             at_y = s[_V + x] + dx * s[_VX + x] + dy * s[_VY + x]
-            at_x, at_y = at_x if at_x > zero else zero, at_y if at_y > zero else zero  # nan, too: nothing outside is ever read
-            at_x, at_y = min(at_x, last_column), min(at_y, last_row)
-            i, j = np.int32(at_x), np.int32(at_y)
+            # nan becomes zero, too: nothing outside is ever read
+            at_x = at_x if at_x > zero else zero
+            at_y = at_y if at_y > zero else zero
+            at_x = min(at_x, last_column)
+            at_y = min(at_y, last_row)
+            i = np.int32(at_x)
+            j = np.int32(at_y)
             s[_FX + x] = at_x - np.float32(i)
             s[_FY + x] = at_y - np.float32(j)
             ints[_PLACE + x] = ints[_START + x] + j * stride + i
+        # each fetch gives two neighbours; in loops of their own, because gathers do not vectorise
         for x in range(BLOCK):
             fetched[x] = pairs[uints[_PLACE + x]]
         for x in range(BLOCK):
             fetched[BLOCK + x] = pairs[uints[_PLACE + x] + np.uint32(stride)]
-        weights, pattern = window[_TAPS + t * BLOCK :], window[_TAPS + (count + t) * BLOCK :]
+        # bilinear interpolation
         for x in range(BLOCK):
-            top, bottom = greys[2 * x], greys[2 * BLOCK + 2 * x]
+            top = greys[2 * x]
+            bottom = greys[2 * BLOCK + 2 * x]
             top += s[_FX + x] * (greys[2 * x + 1] - top)
             bottom += s[_FX + x] * (greys[2 * BLOCK + 2 * x + 1] - bottom)
             s[_FX + x] = top + s[_FY + x] * (bottom - top)
         if t == 0:  # sums use differences from the centre, so that rounding does not hide weak contrast
             for x in range(BLOCK):
                 s[_CENTRE + x] = s[_FX + x]
+        weights = window[_TAPS + t * BLOCK :]
+        pattern = window[_TAPS + (count + t) * BLOCK :]
         for x in range(BLOCK):
             r = s[_FX + x] - s[_CENTRE + x]
             weighted = weights[x] * r
             s[_MEAN + x] += weighted
             s[_SQUARE + x] += weighted * r
             s[_PRODUCT + x] += pattern[x] * r
-    flat, flat_spread, radius = np.float32(_FLAT), np.float32(_FLAT**0.5), np.float32(reach)
+    flat = np.float32(_FLAT)
+    flat_spread = np.float32(_FLAT**0.5)
+    radius = np.float32(reach)
     for x in range(BLOCK):
         spread = window[_SPREAD + x]
         variance = s[_SQUARE + x] - s[_MEAN + x] * s[_MEAN + x]
@@ -194,8 +411,11 @@ def _costs(
         c = min(max(c, zero), np.float32(1.0))
         if variance < flat or spread < flat_spread:
             c = np.float32(_FLAT_COST)
-        u, v = s[_U + x], s[_V + x]
-        du, dv = radius * (abs(s[_UX + x]) + abs(s[_UY + x])), radius * (abs(s[_VX + x]) + abs(s[_VY + x]))
+        # the patch's bounding box must lie in the source
+        u = s[_U + x]
+        v = s[_V + x]
+        du = radius * (abs(s[_UX + x]) + abs(s[_UY + x]))
+        dv = radius * (abs(s[_VX + x]) + abs(s[_VY + x]))
         inside = u >= du and v >= dv and u + du < last_column + np.float32(0.999) and v + dv < last_row + np.float32(0.999)
         if not (inside and s[_DEPTH + x] > np.float32(_NEAREST) and trial[_Q + x] > zero):
             c = np.float32(UNSEEN)
@@ -207,12 +427,17 @@ def _pixels_per_inverse_depth(
     height: int, width: int, M: Float32s, b: Float32s, y: int, x0: int, trial: Float32s, s: Float32s
 ) -> None:
     """Pixels that the points at (x0, y), ... move per unit of q in the source where they move most; 0 where none sees them."""
-    row, zero, nearest = np.float32(y), np.float32(0.0), np.float32(_NEAREST)
-    last_column, last_row = np.float32(width - 1), np.float32(height - 1)
+    row = np.float32(y)
+    zero = np.float32(0.0)
+    nearest = np.float32(_NEAREST)
+    last_column = np.float32(width - 1)
+    last_row = np.float32(height - 1)
     s[_SCALE:_SCRATCH] = zero
     for k in range(len(M)):
         m00, m10, m20 = M[k, 0, 0], M[k, 1, 0], M[k, 2, 0]
-        c0, c1, c2 = M[k, 0, 1] * row + M[k, 0, 2], M[k, 1, 1] * row + M[k, 1, 2], M[k, 2, 1] * row + M[k, 2, 2]
+        c0 = M[k, 0, 1] * row + M[k, 0, 2]
+        c1 = M[k, 1, 1] * row + M[k, 1, 2]
+        c2 = M[k, 2, 1] * row + M[k, 2, 2]
         b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
         for x in range(BLOCK):
             column = np.float32(np.int32(x0) + np.int32(x))
@@ -220,7 +445,9 @@ def _pixels_per_inverse_depth(
             inverse = np.float32(1.0) / max(W, nearest)
             u = (m00 * column + c0 + b0 * trial[_Q + x]) * inverse
             v = (m10 * column + c1 + b1 * trial[_Q + x]) * inverse
-            moved_x, moved_y = (b0 - u * b2) * inverse, (b1 - v * b2) * inverse
+            # (du/dq, dv/dq)
+            moved_x = (b0 - u * b2) * inverse
+            moved_y = (b1 - v * b2) * inverse
             moved = np.sqrt(moved_x * moved_x + moved_y * moved_y)
             inside = (u >= zero) & (v >= zero) & (u <= last_column) & (v <= last_row) & (nearest < W)
             s[_SCALE + x] = max(s[_SCALE + x], moved) if inside else s[_SCALE + x]
@@ -232,22 +459,28 @@ def _planes_at(
     source: Int32s,
 ) -> None:  # fmt: skip
     """The planes at (x0 + dx, y + dy), ... extrapolated to (x0, y), ..., and the sources that see them best; q = 0: none."""
-    row, width = y + dy, planes.shape[2]
-    first, last = max(0, -x0 - dx), min(n, width - x0 - dx)
+    row = y + dy
+    width = planes.shape[2]
+    # the part of the block whose neighbours are in the image
+    first = max(0, -x0 - dx)
+    last = min(n, width - x0 - dx)
     trial[:] = np.float32(0.0)
     source[:] = np.int32(0)
     if first >= last:
         return
     start = x0 + dx + first
-    q, a, b = planes[0, row, start:], planes[1, row, start:], planes[2, row, start:]
-    best_source, trial_here, source_here = best[row, start:], trial[first:], source[first:]
+    q = planes[0, row, start:]
+    a = planes[1, row, start:]
+    b = planes[2, row, start:]
+    best_source = best[row, start:]
+    trial_here = trial[first:]
+    source_here = source[first:]
     for x in range(last - first):
-        na, nb = a[x], b[x]
-        nq = q[x] - na * np.float32(dx) - nb * np.float32(dy)
-        usable = (nq > low) & (nq < high)  # never true where q is nan
-        trial_here[_Q + x] = nq if usable else np.float32(0.0)
-        trial_here[_A + x] = na if usable else np.float32(0.0)
-        trial_here[_B + x] = nb if usable else np.float32(0.0)
+        extrapolated_q = q[x] - a[x] * np.float32(dx) - b[x] * np.float32(dy)
+        if (extrapolated_q > low) & (extrapolated_q < high):  # never true where q is nan
+            trial_here[_Q + x] = extrapolated_q
+            trial_here[_A + x] = a[x]
+            trial_here[_B + x] = b[x]
         source_here[x] = best_source[x]
 
 
@@ -257,10 +490,10 @@ def _own_planes(planes: Float32s, y: int, x0: int, n: int, trial: Float32s) -> N
     trial[:] = np.float32(0.0)
     for x in range(n):
         q = planes[0, y, x0 + x]
-        known = q > np.float32(0.0)
-        trial[_Q + x] = q if known else np.float32(0.0)
-        trial[_A + x] = planes[1, y, x0 + x] if known else np.float32(0.0)
-        trial[_B + x] = planes[2, y, x0 + x] if known else np.float32(0.0)
+        if q > np.float32(0.0):  # never true where q is nan
+            trial[_Q + x] = q
+            trial[_A + x] = planes[1, y, x0 + x]
+            trial[_B + x] = planes[2, y, x0 + x]
 
 
 @helper
@@ -269,7 +502,9 @@ def _perturb(
 ) -> None:
     """Shift and tilt the planes of `trial` at random: by up to `shift` pixels, and `turn` pixels per pixel, in the source where
     they move most.  noise: random numbers from -1 to 1, used from `start` on."""
-    first, second, third = noise[start:], noise[(start + BLOCK) % NOISE :], noise[(start + 2 * BLOCK) % NOISE :]
+    first = noise[start:]
+    second = noise[(start + BLOCK) % NOISE :]
+    third = noise[(start + 2 * BLOCK) % NOISE :]
     for x in range(BLOCK):
         scale = s[_SCALE + x]
         per_pixel = np.float32(1.0) / max(scale, np.float32(1e-12))
@@ -285,109 +520,24 @@ def _keep_cheaper(
     planes: Float32s, cost: Float32s, best: Int32s, usable: Float32s, reach: int, y: int, x0: int, n: int, trial: Float32s,
     source: Int32s, trial_cost: Float32s,
 ) -> None:  # fmt: skip
-    use, own_cost, best_source = usable[y + reach, x0 + reach :], cost[y, x0:], best[y, x0:]
-    q, a, b = planes[0, y, x0:], planes[1, y, x0:], planes[2, y, x0:]
+    """Replace the planes at (x0, y), ..., their costs and their sources where those of `trial` cost less, on usable pixels."""
+    use = usable[y + reach, x0 + reach :]
+    own_cost = cost[y, x0:]
+    best_source = best[y, x0:]
+    q = planes[0, y, x0:]
+    a = planes[1, y, x0:]
+    b = planes[2, y, x0:]
     for x in range(n):
         if trial_cost[x] < own_cost[x] and use[x] > np.float32(0.0):
             own_cost[x] = trial_cost[x]
             best_source[x] = source[x]
-            q[x], a[x], b[x] = trial[_Q + x], trial[_A + x], trial[_B + x]
+            q[x] = trial[_Q + x]
+            a[x] = trial[_A + x]
+            b[x] = trial[_B + x]
 
 
 @helper
 def _sources_here(best: Int32s, y: int, x0: int, n: int, source: Int32s) -> None:
+    """The sources that see the planes at (x0, y), ... best."""
     for x in range(n):
         source[x] = best[y, x0 + x]
-
-
-@kernel
-def propagate(
-    view: View, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar, planes: Float32s,
-    cost: Float32s, best: Int32s,
-) -> None:  # fmt: skip
-    """One pass, down if `number` is even, else up.  `noise`: random numbers from -1 to 1; `rings` (n, 2): neighbours that planes
-    come from, columns and rows back along the direction of the pass; `changes`: random changes of its own plane that each pixel
-    tries; `low`, `high`: limits of q; `planes` (3, h, w), `cost` and `best` (h, w), the source with that cost: changed in place.
-
-    A plane is tried in the source that is best here, the one that is best where the plane comes from, and one more in turn: half
-    of six sources are enough."""
-    image, usable, pairs, height, width, M, b, taps, reach = view
-    h, w = cost.shape
-    count = len(M)
-    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
-    scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
-    trial, trial_cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
-    there, here, in_turn = np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32), np.zeros(BLOCK, dtype=np.int32)
-    blocks = (w + BLOCK - 1) // BLOCK
-    step = -1 if number % 2 == 0 else 1
-    start = 0
-    for i in range(h):
-        y = i if step < 0 else h - 1 - i
-        for j in range(blocks):
-            x0 = (j if step < 0 else blocks - 1 - j) * BLOCK
-            n = min(BLOCK, w - x0)
-            if not usable[y + reach, x0 + reach : x0 + reach + n].any():
-                continue
-            _windows(image, usable, taps, reach, y, x0, n, window)
-            if number == 0:
-                _own_planes(planes, y, x0, n, trial)
-                for k in range(count):
-                    in_turn[:] = k
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, in_turn, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, in_turn, trial_cost)
-            for attempt in range(len(rings)):
-                dx, dy = step * rings[attempt, 0], step * rings[attempt, 1]
-                if not 0 <= y + dy < h:
-                    continue
-                _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, there)
-                _sources_here(best, y, x0, n, here)
-                in_turn[:] = (y + number + attempt) % count
-                for source in (there, here, in_turn):
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-            _own_planes(planes, y, x0, n, trial)
-            _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
-            shift, turn = np.float32(0.5 / (1 << number)), np.float32(0.0)  # half a pixel first
-            for attempt in range(changes):
-                _own_planes(planes, y, x0, n, trial)
-                _perturb(noise, start, shift, turn, low, high, scratch, trial)
-                start = (start + 3 * BLOCK) % NOISE
-                _sources_here(best, y, x0, n, here)
-                in_turn[:] = (y + number + attempt) % count
-                for source in (here, in_turn):
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-                shift *= np.float32(0.5)
-                turn = np.float32(0.1 / (1 << number))
-
-
-@kernel
-def evaluate(view: View, planes: Float32s, limit: Scalar, support: Support) -> None:
-    """Write the evidence of all sources for planes (3, h, w); one sees a plane that costs less than `limit` in it."""
-    image, usable, pairs, height, width, M, b, taps, reach = view
-    first, second, sources, parallax = support
-    h, w = first.shape
-    window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
-    scratch = np.zeros(_SCRATCH, dtype=np.float32)
-    fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
-    trial, cost = np.zeros(_TRIAL, dtype=np.float32), np.zeros(BLOCK, dtype=np.float32)
-    source = np.zeros(BLOCK, dtype=np.int32)
-    for y in range(h):
-        for x0 in range(0, w, BLOCK):
-            n = min(BLOCK, w - x0)
-            _windows(image, usable, taps, reach, y, x0, n, window)
-            _own_planes(planes, y, x0, n, trial)
-            for k in range(len(M)):
-                source[:] = k
-                _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, cost)
-                b0, b1, b2 = b[k, 0], b[k, 1], b[k, 2]
-                for x in range(n):
-                    c = cost[x]
-                    second[y, x0 + x] = min(second[y, x0 + x], max(c, first[y, x0 + x]))
-                    first[y, x0 + x] = min(first[y, x0 + x], c)
-                    if c < limit:
-                        W = scratch[_DEPTH + x]
-                        moved_x, moved_y = (b0 - scratch[_U + x] * b2) / W, (b1 - scratch[_V + x] * b2) / W
-                        sources[y, x0 + x] |= np.uint32(1) << np.uint32(k)
-                        parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y
