@@ -15,15 +15,25 @@ from .ground import below_horizon, ground_homography
 
 _PATCHES = 64
 """Patches across the wider side of a view."""
+
 _RADIUS = 6
+"""Radius of a patch, pixels."""
+
 _LEAST_CORRELATION = 0.75
 """Smallest correlation of matching patches."""
+
 _LEAST_LEAD = 0.12
-"""Smallest lead of the best correlation over that at any other place within reach."""
+"""Smallest lead of the best correlation over that at any other place within reach: with less, the place is ambiguous."""
+
 _SAME_PLACE_PX = 3
 """Places within this distance of the best one do not count as others."""
+
 _LEAST_VARIANCE = 16.0
-"""Smallest variance of a patch's grey levels: flatter patches look alike anywhere."""
+"""Smallest variance of a patch's grey levels, squared: flatter patches look similar anywhere."""
+
+_NOISE_VARIANCE = 4.0
+"""Added to the variances in a correlation, grey levels squared: patches with less contrast than noise match nothing."""
+
 _MOST_STRETCH = 4.0
 """Patches that cover more than this many times more or fewer pixels in the other view are not compared."""
 
@@ -44,8 +54,11 @@ def ground_matches(
         return np.zeros((0, 2)), np.zeros((0, 2))
     patches = below_horizon(camera1, plane[:3], _PATCHES)
     results = np.full((len(patches), 4), np.nan)
-    _search(*images, patches, ground_homography(camera1, camera2, plane), int(np.ceil(reach_px)), results)
-    best, second = results[:, 2], results[:, 3]
+    H = ground_homography(camera1, camera2, plane)
+    _search(*images, patches, H, int(np.ceil(reach_px)), results)
+    best = results[:, 2]
+    second = results[:, 3]
+    # patches that were not searched have nan, which compares as False
     with np.errstate(invalid="ignore"):
         clear = (best >= _LEAST_CORRELATION) & (best >= second + _LEAST_LEAD)
     return patches[clear], results[clear, :2]
@@ -57,19 +70,26 @@ def _search(image1: Float32s, image2: Float32s, patches: Float64s, H: Float64s, 
     h1, w1 = image1.shape
     h2, w2 = image2.shape
     side = 2 * _RADIUS + 1
-    u, v, patch = np.empty(side * side), np.empty(side * side), np.empty(side * side)
+    u = np.empty(side * side)
+    v = np.empty(side * side)
+    patch = np.empty(side * side)
     scores = np.empty((2 * reach + 1, 2 * reach + 1))
     for k in range(len(patches)):
-        x, y = int(patches[k, 0]), int(patches[k, 1])
+        # 1. Predict the patch's place; leave it out if it is not wholly in view, distorted too much, or flat.
+        x = int(patches[k, 0])
+        y = int(patches[k, 1])
         if x < _RADIUS or y < _RADIUS or x >= w1 - _RADIUS or y >= h1 - _RADIUS:
             continue
         if not _map_patch(image1, x, y, H, u, v, patch):
             continue
-        width, height = u.max() - u.min(), v.max() - v.min()
+        width = u.max() - u.min()
+        height = v.max() - v.min()
         stretched = width * height > _MOST_STRETCH * side * side or width * height < side * side / _MOST_STRETCH
         inside = u.min() >= reach and v.min() >= reach and u.max() < w2 - 1 - reach and v.max() < h2 - 1 - reach
         if stretched or not inside or patch.var() < _LEAST_VARIANCE:
             continue
+
+        # 2. Search around it, and add the shift found to the predicted position.
         _correlate(image2, u, v, patch, reach, scores)
         _best_place(scores, reach, results[k])
         z = H[2, 0] * x + H[2, 1] * y + H[2, 2]
@@ -97,32 +117,47 @@ def _map_patch(image1: Float32s, x: int, y: int, H: Float64s, u: Float64s, v: Fl
 def _correlate(image2: Float32s, u: Float64s, v: Float64s, patch: Float64s, reach: int, scores: Float64s) -> None:
     """Correlation of a patch with image 2 at each shift from its predicted position."""
     n = len(patch)
-    mean, variance = patch.mean(), patch.var()
+    mean = patch.mean()
+    variance = patch.var()
     for shift_y in range(-reach, reach + 1):
         for shift_x in range(-reach, reach + 1):
-            s2, s22, s12 = 0.0, 0.0, 0.0
+            # sums of image 2's grey levels, of their squares and of the products with the patch
+            s2 = 0.0
+            s22 = 0.0
+            s12 = 0.0
             for m in range(n):
-                a, b = int(u[m]), int(v[m])
-                f, g = u[m] - a, v[m] - b
-                a, b = a + shift_x, b + shift_y
+                # the shift is whole pixels, so the fractions for bilinear interpolation do not depend on it
+                a = int(u[m])
+                b = int(v[m])
+                f = u[m] - a
+                g = v[m] - b
+                a += shift_x
+                b += shift_y
                 grey = (image2[b, a] * (1 - f) + image2[b, a + 1] * f) * (1 - g)
                 grey += (image2[b + 1, a] * (1 - f) + image2[b + 1, a + 1] * f) * g
                 s2 += grey
                 s22 += grey * grey
                 s12 += patch[m] * grey
             variance2 = max(s22 / n - (s2 / n) ** 2, 0.0)
-            scores[shift_y + reach, shift_x + reach] = (s12 / n - mean * s2 / n) / np.sqrt((variance + 4.0) * (variance2 + 4.0))
+            covariance = s12 / n - mean * s2 / n
+            scale = np.sqrt((variance + _NOISE_VARIANCE) * (variance2 + _NOISE_VARIANCE))
+            scores[shift_y + reach, shift_x + reach] = covariance / scale
 
 
 @helper
 def _best_place(scores: Float64s, reach: int, result: Float64s) -> None:
     """Write the best score's shift (2), by parabolas, that score, and the best one elsewhere; nothing if it is at the border."""
     size = 2 * reach + 1
-    best, row, column = -1.0, 0, 0
+    best = -1.0
+    row = 0
+    column = 0
     for r in range(size):
         for c in range(size):
             if scores[r, c] > best:
-                best, row, column = scores[r, c], r, c
+                best = scores[r, c]
+                row = r
+                column = c
+    # a best score at the border is the flank of one out of reach
     if row == 0 or column == 0 or row == size - 1 or column == size - 1:
         return
     second = -1.0
@@ -130,9 +165,11 @@ def _best_place(scores: Float64s, reach: int, result: Float64s) -> None:
         for c in range(size):
             if max(abs(r - row), abs(c - column)) > _SAME_PLACE_PX:
                 second = max(second, scores[r, c])
+    # vertices of the parabolas through the best score and its neighbours
     curvature_x = scores[row, column - 1] - 2 * best + scores[row, column + 1]
     curvature_y = scores[row - 1, column] - 2 * best + scores[row + 1, column]
     if curvature_x < 0 and curvature_y < 0:
         result[0] = column - reach + 0.5 * (scores[row, column - 1] - scores[row, column + 1]) / curvature_x
         result[1] = row - reach + 0.5 * (scores[row - 1, column] - scores[row + 1, column]) / curvature_y
-        result[2], result[3] = best, second
+        result[2] = best
+        result[3] = second
