@@ -32,6 +32,7 @@ def view_depth(
     noise_px : assumed error of a disparity in pixels, standard deviation.
     """
     noise = NoiseModel(noise_px=noise_px)
+    # 1. Triangulate each pair; of too many, keep those with the most exact pixels, so that no more than these are in memory.
     estimates: dict[str, tuple[Float32s, Float32s]] = {}
     usable_pixels: dict[str, int] = {}
     left_out: list[str] = []
@@ -44,12 +45,22 @@ def view_depth(
         if len(disparities) > MOST_PARTNERS:
             usable_pixels[partner] = int(np.count_nonzero(noise.usable(*estimates[partner])))
         if len(estimates) > MOST_PARTNERS:
-            left_out.append(min(estimates, key=usable_pixels.__getitem__))
-            del estimates[left_out[-1]]
-    if estimates:
-        partners, (depths, gains) = list(estimates), ([estimate[k] for estimate in estimates.values()] for k in (0, 1))
-        fused = fuse_pairs(camera, depths, gains, partners, noise)
-        if np.isfinite(fused.depth).any():
-            differences = {f"{partners[a]}--{partners[b]}": px for (a, b), px in offset_px(depths, gains, noise).items()}
-            return replace(fused, left_out=tuple(left_out), offset_px=differences)
-    return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})
+            poorest = min(estimates, key=usable_pixels.__getitem__)
+            left_out.append(poorest)
+            del estimates[poorest]
+    if not estimates:
+        return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})
+
+    # 2. Fuse them per pixel.
+    partners = list(estimates)
+    depths = [depth for depth, _ in estimates.values()]
+    gains = [gain for _, gain in estimates.values()]
+    fused = fuse_pairs(camera, depths, gains, partners, noise)
+    if not np.isfinite(fused.depth).any():
+        return Rejected(Reason.NO_PAIR_DEPTH, {"pairs": len(disparities)})
+
+    # 3. Measure how far each two pairs disagree as a whole: a wrong pose shows there.
+    offsets: dict[str, float] = {}
+    for (a, b), px in offset_px(depths, gains, noise).items():
+        offsets[f"{partners[a]}--{partners[b]}"] = px
+    return replace(fused, left_out=tuple(left_out), offset_px=offsets)

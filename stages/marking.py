@@ -14,7 +14,10 @@ from .types import Capture, Lens, Uint8s
 
 LARGE = 2560
 """Long side in pixels of a picture to draw on."""
+
 _JPEG_QUALITY = 88
+"""Quality of that picture, 0 to 100: artefacts are invisible at the size of a page."""
+
 _SHADE_RGBA = (230, 60, 60, 130)
 """Colour over what a mask leaves out: red, green, blue, opacity."""
 
@@ -52,11 +55,15 @@ def paint_mask(name: str, mask: bytes | None, size: tuple[int, int], areas: Sequ
     areas : the areas to paint, in order.
     """
     width, height = size
-    image = np.full((height, width), 255, np.uint8) if mask is None else _decode(name, mask).copy()
+    if mask is None:
+        image = np.full((height, width), 255, np.uint8)
+    else:
+        image = _decode(name, mask).copy()  # decoded pixels are read-only
     if image.shape != (height, width):
         raise wrong_size(name, image.shape[1], image.shape[0], Lens(width=width, height=height))
     for use, corners in areas:
-        cv2.fillPoly(image, [np.rint(np.array(corners)).astype(np.int32)], 255 if use else 0)
+        whole_pixels = np.rint(np.array(corners)).astype(np.int32)
+        cv2.fillPoly(image, [whole_pixels], 255 if use else 0)
     if not image.any():
         raise BadCapture(f"{name} would leave no pixel to use")
     return png(image)
@@ -67,8 +74,12 @@ def _decode(name: str, mask: bytes) -> Uint8s:
 
 
 def _reduced(image: Uint8s) -> Uint8s:
+    """A picture (h, w, 3) or mask (h, w), reduced to a long side of at most `LARGE`."""
     height, width = image.shape[:2]
-    if (scale := LARGE / max(height, width)) >= 1:
+    scale = LARGE / max(height, width)
+    if scale >= 1:
         return image
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST), np.uint8)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    # a mask must not get grey levels between used and unused
+    interpolation = cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(image, size, interpolation=interpolation), np.uint8)

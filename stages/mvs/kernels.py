@@ -92,7 +92,7 @@ _TAPS = 3 * BLOCK
 
 
 class View(NamedTuple):
-    """A view and its sources.  Helpers take the arrays one by one, since tuples cost time in each call."""
+    """A view and its sources.  The innermost helpers take the arrays one by one, since tuples cost time in each call."""
 
     image: Float32s
     """(h + 2 reach, w + 2 reach) grey levels, with a margin."""
@@ -126,37 +126,21 @@ class Support(NamedTuple):
 
 @kernel
 def propagate(
-    view: View,
-    noise: Float32s,
-    number: int,
-    rings: Int64s,
-    changes: int,
-    low: Scalar,
-    high: Scalar,
-    planes: Float32s,
-    cost: Float32s,
-    best: Int32s,
-) -> None:
-    """One pass over the image, in place.
-
-    A plane is tried in the source that is best here, the one that is best where the plane comes from, and one more in turn: half
-    of six sources are enough.
+    view: View, noise: Float32s, number: int, rings: Int64s, changes: int, low: Scalar, high: Scalar, planes: Float32s,
+    cost: Float32s, best: Int32s,
+) -> None:  # fmt: skip
+    """One pass over the image, in place: every pixel tries the planes of its neighbours, and random changes of its own.
 
     Parameters
     ----------
-    view : the view and its sources.
-    noise : (NOISE + BLOCK,) random numbers from -1 to 1.
-    number : of the pass; even ones go down, odd ones up.
+    view, number : the view and its sources; number of the pass, even ones go down, odd ones up.
+    noise, changes : (NOISE + BLOCK,) random numbers from -1 to 1; number of random changes.
     rings : (n, 2) neighbours that planes come from: columns and rows back along the direction of the pass.
-    changes : random changes of its own plane that each pixel tries.
     low, high : limits of q.
-    planes : (3, h, w) q, A, B, changed in place; nan: none.
-    cost : (h, w) of the planes, changed in place.
-    best : (h, w) index of the source with that cost, changed in place.
+    planes, cost, best : (3, h, w) q, A, B, nan for none; (h, w) their cost, and the source with that cost; changed in place.
     """
-    image, usable, pairs, height, width, M, b, taps, reach = view
     h, w = cost.shape
-    count = len(M)
+    taps, reach = view.taps, view.reach
     window = np.zeros(_TAPS + 2 * len(taps) * BLOCK, dtype=np.float32)
     scratch = np.zeros(_SCRATCH, dtype=np.float32)
     fetched = np.zeros(2 * BLOCK, dtype=np.uint64)
@@ -174,19 +158,17 @@ def propagate(
         for j in range(blocks):
             x0 = (j if step < 0 else blocks - 1 - j) * BLOCK
             n = min(BLOCK, w - x0)
-            if not usable[y + reach, x0 + reach : x0 + reach + n].any():
+            if not view.usable[y + reach, x0 + reach : x0 + reach + n].any():
                 continue
-            _windows(image, usable, taps, reach, y, x0, n, window)
-
+            _windows(view.image, view.usable, taps, reach, y, x0, n, window)
             # 1. In the first pass, score the planes that are there, in every source.
             if number == 0:
                 _own_planes(planes, y, x0, n, trial)
-                for k in range(count):
+                for k in range(len(view.M)):
                     in_turn[:] = k
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, in_turn, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, in_turn, trial_cost)
-
-            # 2. Try the planes of neighbours that this pass has been at.
+                    _try(view, y, x0, n, trial, in_turn, window, scratch, fetched, trial_cost, planes, cost, best)
+            # 2. Try the planes of neighbours that this pass has been at, in the source that is best here, the one that is best
+            #    where the plane comes from, and one more in turn: half of six sources are enough.
             for attempt in range(len(rings)):
                 dx = step * rings[attempt, 0]
                 dy = step * rings[attempt, 1]
@@ -194,14 +176,12 @@ def propagate(
                     continue
                 _planes_at(planes, best, y, x0, n, dx, dy, low, high, trial, there)
                 _sources_here(best, y, x0, n, here)
-                in_turn[:] = (y + number + attempt) % count
+                in_turn[:] = (y + number + attempt) % len(view.M)
                 for source in (there, here, in_turn):
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
-
+                    _try(view, y, x0, n, trial, source, window, scratch, fetched, trial_cost, planes, cost, best)
             # 3. Try random changes of the own plane: the first only shifts it, the later ones tilt it, too.
             _own_planes(planes, y, x0, n, trial)
-            _pixels_per_inverse_depth(height, width, M, b, y, x0, trial, scratch)
+            _pixels_per_inverse_depth(view.height, view.width, view.M, view.b, y, x0, trial, scratch)
             shift = np.float32(_FIRST_SHIFT_PX / (1 << number))
             turn = np.float32(0.0)
             for attempt in range(changes):
@@ -209,10 +189,9 @@ def propagate(
                 _perturb(noise, start, shift, turn, low, high, scratch, trial)
                 start = (start + 3 * BLOCK) % NOISE
                 _sources_here(best, y, x0, n, here)
-                in_turn[:] = (y + number + attempt) % count
+                in_turn[:] = (y + number + attempt) % len(view.M)
                 for source in (here, in_turn):
-                    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, scratch, fetched, trial_cost)
-                    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
+                    _try(view, y, x0, n, trial, source, window, scratch, fetched, trial_cost, planes, cost, best)
                 shift *= np.float32(0.5)
                 turn = np.float32(_FIRST_TURN / (1 << number))
 
@@ -249,6 +228,17 @@ def evaluate(view: View, planes: Float32s, limit: Scalar, support: Support) -> N
                         moved_y = (b1 - scratch[_V + x] * b2) / W
                         sources[y, x0 + x] |= np.uint32(1) << np.uint32(k)
                         parallax[y, x0 + x] += moved_x * moved_x + moved_y * moved_y
+
+
+@helper
+def _try(
+    view: View, y: int, x0: int, n: int, trial: Float32s, source: Int32s, window: Float32s, s: Float32s, fetched: Uint64s,
+    trial_cost: Float32s, planes: Float32s, cost: Float32s, best: Int32s,
+) -> None:  # fmt: skip
+    """Score the planes of `trial` in one source each, and keep those that cost less than the pixels' own."""
+    _, usable, pairs, height, width, M, b, taps, reach = view
+    _costs(pairs, height, width, M, b, taps, reach, y, x0, trial, source, window, s, fetched, trial_cost)
+    _keep_cheaper(planes, cost, best, usable, reach, y, x0, n, trial, source, trial_cost)
 
 
 @helper
@@ -401,6 +391,15 @@ def _costs(
             s[_MEAN + x] += weighted
             s[_SQUARE + x] += weighted * r
             s[_PRODUCT + x] += pattern[x] * r
+    _costs_of_sums(height, width, reach, trial, window, s, cost)
+
+
+@helper
+def _costs_of_sums(height: int, width: int, reach: int, trial: Float32s, window: Float32s, s: Float32s, cost: Float32s) -> None:
+    """1 - ZNCC from the sums over patches that `_costs` has written."""
+    zero = np.float32(0.0)
+    last_column = np.float32(width - 2)
+    last_row = np.float32(height - 2)
     flat = np.float32(_FLAT)
     flat_spread = np.float32(_FLAT**0.5)
     radius = np.float32(reach)
