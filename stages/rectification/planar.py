@@ -18,8 +18,9 @@ from ..types import Camera, Float32s, Float64s, Int32s
 from .method import Homographies, MatchedPair
 
 COLUMNS = 24
-"""Columns of square cells that hold one control point each."""
+"""Columns of square cells that hold one control point each; more of them give shorter edges, which are noisier."""
 _ITERATIONS = 10
+"""Most iterations of the robust fit."""
 _CONVERGED = 1e-6
 """Iterations end when no coefficient changes by more than this share of the largest."""
 
@@ -40,6 +41,7 @@ def control_points(x1: Float64s, probability: Float32s, size: tuple[int, int]) -
     column, row = np.floor(x1 / (size[0] / COLUMNS)).T
     order = np.lexsort((-probability, row, column))
     cells = np.column_stack([column, row])[order]
+    # sorted by cell, and within a cell by probability: the first row of each cell is its most probable
     first = np.append(True, (cells[1:] != cells[:-1]).any(axis=1))
     return np.sort(order[first]).astype(np.int32)
 
@@ -61,16 +63,30 @@ def _fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) 
 
     robust: weights 1 / (1 + (r / 2s)^2) of residuals r, with s = 1.4826 times their median absolute value, by iteration.
     """
-    p, q = edges[:, 0], edges[:, 1]
-    D1, D2, d = design[p, 0] - design[q, 0], design[p, 1] - design[q, 1], target[p] - target[q]
-    weights, x, y = np.ones(len(d)), np.float64(0.0), np.float64(0.0)
+    p = edges[:, 0]
+    q = edges[:, 1]
+    D1 = design[p, 0] - design[q, 0]
+    D2 = design[p, 1] - design[q, 1]
+    d = target[p] - target[q]
+    weights = np.ones(len(d))
+    x = np.float64(0.0)
+    y = np.float64(0.0)
+    iterations = _ITERATIONS if robust else 1
     with np.errstate(divide="ignore", invalid="ignore"):  # degenerate edges give nan
-        for _ in range(_ITERATIONS if robust else 1):  # with two well-scaled columns, normal equations are exact enough
-            a, b = weights * D1, weights * D2
-            aa, ab, bb, ad, bd = (np.cumsum(terms)[-1] for terms in (a * D1, a * D2, b * D2, a * d, b * d))
-            previous = x, y
-            x, y = (bb * ad - ab * bd) / (aa * bb - ab * ab), (aa * bd - ab * ad) / (aa * bb - ab * ab)
-            if max(abs(x - previous[0]), abs(y - previous[1])) <= _CONVERGED * max(abs(x), abs(y)):
+        for _ in range(iterations):
+            # normal equations: with two well-scaled columns, they are exact enough
+            a = weights * D1
+            b = weights * D2
+            aa = _sum_in_order(a * D1)
+            ab = _sum_in_order(a * D2)
+            bb = _sum_in_order(b * D2)
+            ad = _sum_in_order(a * d)
+            bd = _sum_in_order(b * d)
+            previous_x = x
+            previous_y = y
+            x = (bb * ad - ab * bd) / (aa * bb - ab * ab)
+            y = (aa * bd - ab * ad) / (aa * bb - ab * ab)
+            if max(abs(x - previous_x), abs(y - previous_y)) <= _CONVERGED * max(abs(x), abs(y)):
                 break
             residuals = abs(D1 * x + D2 * y - d)
             s = 1.4826 * np.median(residuals) + 1e-6
@@ -78,7 +94,14 @@ def _fit_edges(design: Float64s, target: Float64s, edges: Int32s, robust: bool) 
     return np.array([x, y])
 
 
+def _sum_in_order(terms: Float64s) -> np.float64:
+    """Sum of terms (n,) from the first to the last: np.sum adds in an order that may depend on the processor."""
+    total: np.float64 = np.cumsum(terms)[-1]
+    return total
+
+
 def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust: bool) -> Homographies:
+    """H2, and the H1 that makes the net of the matches x1, x2 (n, 2) congruent in both images; size: of frame 2."""
     H2 = send_epipole_to_infinity(F, size)
     row2, row3 = rows_fixed_by(F, H2, x1)
     target = apply_homography(H2, x2)
@@ -88,10 +111,12 @@ def _fit(F: Float64s, x1: Float64s, x2: Float64s, size: tuple[int, int], robust:
     normalised = homogeneous(x1) @ N.T
     points = normalised / (normalised @ row3_n)[:, None]
     # row1 = B ab + c row3: row3 maps every point to 1, so edges do not depend on c, and B spans the rest
-    B = np.linalg.svd(row3_n[None])[2][1:].T
+    _, _, Vt = np.linalg.svd(row3_n[None])
+    B = Vt[1:].T
     ab = _fit_edges(points @ B, target[:, 0], net_edges(target), robust)
-    c = np.median(target[:, 0] - points @ (B @ ab))
-    return Homographies(np.stack([(B @ ab + c * row3_n) @ N, row2, row3]), H2)
+    c = np.median(target[:, 0] - points @ (B @ ab))  # a shift along the row
+    row1 = (B @ ab + c * row3_n) @ N
+    return Homographies(np.stack([row1, row2, row3]), H2)
 
 
 def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
@@ -106,7 +131,11 @@ def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
     if epipole[0] < 0:
         epipole = -epipole  # its homogeneous sign is free: this one makes the rotation small
     length = np.hypot(epipole[0], epipole[1])
-    c, s = (epipole[0] / length, epipole[1] / length) if length > 0 else (1.0, 0.0)
+    c = 1.0
+    s = 0.0
+    if length > 0:  # an epipole at the centre has no direction
+        c = epipole[0] / length
+        s = epipole[1] / length
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     G = np.eye(3)
     G[2, 0] = -epipole[2] / max(length, 1e-12)
@@ -116,7 +145,8 @@ def send_epipole_to_infinity(F: Float64s, size: tuple[int, int]) -> Float64s:
 def rows_fixed_by(F: Float64s, H2: Float64s, x1: Float64s) -> tuple[Float64s, Float64s]:
     """Second and third row (3,) of H1, with the common sign that gives most points x1 a positive third coordinate."""
     M = np.linalg.inv(H2).T @ F  # ~ [i]x H1: its rows are 0, -row3, row2
-    row2, row3 = M[2], -M[1]
+    row2 = M[2]
+    row3 = -M[1]
     sign = 1.0 if np.median(x1 @ row3[:2] + row3[2]) >= 0 else -1.0
     return sign * row2, sign * row3
 
@@ -127,8 +157,10 @@ def hartley(pair: MatchedPair) -> Homographies:
     row2, row3 = rows_fixed_by(pair.F, H2, pair.x1)
     points = homogeneous(pair.x1)
     design = points / (points @ row3)[:, None]
-    scale = np.abs(design).max(axis=0)
-    row1 = np.linalg.lstsq(design / scale, apply_homography(H2, pair.x2)[:, 0], rcond=None)[0] / scale
+    scale = np.abs(design).max(axis=0)  # columns of equal size, for the condition of the system
+    target = apply_homography(H2, pair.x2)[:, 0]
+    solution, *_ = np.linalg.lstsq(design / scale, target, rcond=None)
+    row1 = solution / scale
     return Homographies(np.stack([row1, row2, row3]), H2)
 
 
@@ -140,7 +172,7 @@ def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     x_axis = camera2.C - camera1.C
     x_axis = x_axis / np.linalg.norm(x_axis)
     if x_axis @ (camera1.R[0] + camera2.R[0]) < 0:
-        x_axis = -x_axis
+        x_axis = -x_axis  # the images stay upright
     forward = camera1.R[2] + camera2.R[2]
     y_axis = np.cross(forward, x_axis)
     if np.linalg.norm(y_axis) < 1e-6:
@@ -148,14 +180,18 @@ def fusiello(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]:
     y_axis = y_axis / np.linalg.norm(y_axis)
     R = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     K = (camera1.K + camera2.K) / 2
-    return K @ R @ camera1.R.T @ np.linalg.inv(camera1.K), K @ R @ camera2.R.T @ np.linalg.inv(camera2.K)
+    H1 = K @ R @ camera1.R.T @ np.linalg.inv(camera1.K)
+    H2 = K @ R @ camera2.R.T @ np.linalg.inv(camera2.K)
+    return H1, H2
 
 
 def calibrated(pair: MatchedPair, left: Camera, right: Camera) -> Homographies:
     """`fusiello`, then a robust affine of x on image 1 that makes the net of the matches congruent."""
     H1, H2 = fusiello(left, right)
     chosen = control_points(pair.x1, pair.probability, (left.width, left.height))
-    y1, y2 = apply_homography(H1, pair.x1[chosen]), apply_homography(H2, pair.x2[chosen])
+    y1 = apply_homography(H1, pair.x1[chosen])
+    y2 = apply_homography(H2, pair.x2[chosen])
     a, b = _fit_edges(y1, y2[:, 0], net_edges(y2), robust=True)
     c = np.median(y2[:, 0] - y1 @ np.array([a, b]))
-    return Homographies(np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ H1, H2)
+    affine_x = np.array([[a, b, c], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return Homographies(affine_x @ H1, H2)
