@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,14 @@ ValueError, with the reason, if it cannot rectify a pair."""
 
 _LEAST_PARALLAX = 0.01
 """Least parallax of the matches against their best homography, as a share of the width, where the ray angle is unknown."""
+_AGREEMENT_PX = 1.5
+"""Matches agree with known cameras if they lie within this many pixels of their epipolar lines."""
+_AGREEMENT_SHARE = 0.002
+"""The same as a share of the frame's longer side; the larger of both holds."""
+_LEAST_AGREEING = 0.5
+"""Cameras contradict the matches if a smaller share of these agrees with them."""
+_PREDICTED_RANGE = (2.0, 98.0)
+"""Percentiles, per cent, of the predicted disparities between which dense matching first searches."""
 _LEAST_GROUND_IN_REACH = 0.5
 """Smallest share of the ground seen by two known cameras that the disparity range covers; if it covers less, the matches have
 not shown where the scene lies."""
@@ -107,14 +116,30 @@ def rectify(
         inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}
         return fit_layout(pair, method, bind(METHODS, method, inputs, options), fallback)
 
-    limits = min_matches, max_row_error_px, min_angle_deg, range_margin
+    # 1. by the matches
+    limits = _Limits(min_matches, max_row_error_px, min_angle_deg, range_margin)
     by_matches, match_count = _from_matches(geometry, left, right, check, fit, limits)
-    enough = match_count >= few_matches if isinstance(by_matches, Rectification) else by_matches.code == Reason.NO_BASELINE
-    if enough or left is None or right is None or left_frame is None or right_frame is None:
+    if isinstance(by_matches, Rectification):
+        conclusive = match_count >= few_matches
+    else:
+        conclusive = by_matches.code == Reason.NO_BASELINE  # cameras would find none either
+    if conclusive or left is None or right is None or left_frame is None or right_frame is None:
         return _with_distortion(_reaching_ground(by_matches, geometry, (left, right), scene, fit), left, right)
-    by_cameras = _from_cameras((left, right), (left_frame, right_frame), scene, fit, min_angle_deg)
-    result = by_matches if isinstance(by_cameras, Rejected) and isinstance(by_matches, Rectification) else by_cameras
+
+    # 2. by the cameras, and by few matches only if that fails
+    result = _from_cameras((left, right), (left_frame, right_frame), scene, fit, min_angle_deg)
+    if isinstance(result, Rejected) and isinstance(by_matches, Rectification):
+        result = by_matches
     return _with_distortion(result, left, right)
+
+
+class _Limits(NamedTuple):
+    """Parameters of `rectify` that decide whether matches are good enough."""
+
+    min_matches: int
+    max_row_error_px: float
+    min_angle_deg: float
+    range_margin: float
 
 
 def _with_distortion(result: Rectification | Rejected, left: Camera | None, right: Camera | None) -> Rectification | Rejected:
@@ -130,20 +155,32 @@ def _from_matches(
     right: Camera | None,
     check: PairCheck | None,
     fit: Callable[[MatchedPair], Layout | Rejected],
-    limits: tuple[int, float, float, float],
+    limits: _Limits,
 ) -> tuple[Rectification | Rejected, int]:
-    """The rectification from the matches, and how many of them agree with F.  limits: `min_matches`, `max_row_error_px`,
-    `min_angle_deg` and `range_margin` of `rectify`."""
+    """The rectification from the matches, and how many of them agree with F.
+
+    Parameters
+    ----------
+    geometry, left, right, check : as for `rectify`.
+    fit : the method, and what replaces it where it tears the image.
+    limits : what is too few, too uncertain, or too narrow.
+    """
     if geometry is None:
         return Rejected(Reason.NOTHING_KNOWN), 0
-    min_matches, max_row_error_px, min_angle_deg, range_margin = limits
     pair = _agreeing_matches(geometry, left, right)
-    contradicted = None if check is None or check.kept else Rejected(Reason(check.code), words=check.reason)
-    refusal = contradicted or _unreliable(geometry, pair, min_angle_deg)
-    layout = refusal or _unusable(len(geometry.x1), pair, min_matches, min_angle_deg) or fit(pair)
+    match_count = len(pair.x1)
+    if check is not None and not check.kept:
+        return Rejected(Reason(check.code), words=check.reason), match_count
+    refusal = _unreliable(geometry, pair, limits.min_angle_deg)
+    if refusal is not None:
+        return refusal, match_count
+    refusal = _unusable(len(geometry.x1), pair, limits.min_matches, limits.min_angle_deg)
+    if refusal is not None:
+        return refusal, match_count
+    layout = fit(pair)
     if isinstance(layout, Rejected):
-        return layout, len(pair.x1)
-    return finish_layout(*layout, pair, geometry, max_row_error_px, range_margin), len(pair.x1)
+        return layout, match_count
+    return finish_layout(*layout, pair, geometry, limits.max_row_error_px, limits.range_margin), match_count
 
 
 def _from_cameras(
@@ -154,25 +191,43 @@ def _from_cameras(
     min_angle_deg: float,
 ) -> Rectification | Rejected:
     """The rectification from two cameras, laid out for the scene that both should see; dense matching must confirm it, and
-    shows where the scene really is."""
+    shows where the scene really is.
+
+    Parameters
+    ----------
+    cameras, frames, scene : of the pair: two known cameras, their frames, and the likely position of the scene.
+    fit : the method, and what replaces it where it tears the image.
+    min_angle_deg : reject if the rays converge by less.
+    """
+    # 1. a draft, for points where the scene should be
     expected = predict(*cameras, scene)
     if expected is None:
         return Rejected(Reason.NOTHING_IN_COMMON)
     ground = _ground_of_pair(cameras, scene)
-    draft = fit(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
-    if isinstance(draft, Rejected):
-        return draft
-    disparities = to_rectified(draft[0], 1, expected.ends1)[:, 0] - to_rectified(draft[0], 2, expected.ends2)[:, 0]
-    low, high = percentiles(disparities[np.isfinite(disparities)], 2, 98)
-    predicted = replace(draft[0], disparity_min_px=float(np.floor(low)), disparity_max_px=float(np.ceil(high)), ground=ground)
-    rows, x1, x2, probability = verify_rows(
-        *frames, replace(predicted, bend1=residual_distortion(cameras[0]), bend2=residual_distortion(cameras[1]))
+    layout = fit(_known_pair(cameras, expected.x1, expected.x2, np.ones(len(expected.x1), np.float32)))
+    if isinstance(layout, Rejected):
+        return layout
+    draft, _ = layout
+    disparities = to_rectified(draft, 1, expected.ends1)[:, 0] - to_rectified(draft, 2, expected.ends2)[:, 0]
+    low, high = percentiles(disparities[np.isfinite(disparities)], *_PREDICTED_RANGE)
+    draft = replace(
+        draft,
+        disparity_min_px=float(np.floor(low)),
+        disparity_max_px=float(np.ceil(high)),
+        ground=ground,
+        bend1=residual_distortion(cameras[0]),
+        bend2=residual_distortion(cameras[1]),
     )
+
+    # 2. dense matches instead of keypoints: do they confirm the rows?
+    rows, x1, x2, probability = verify_rows(*frames, draft)
     if not rows.confirmed or len(x1) < _FEWEST_POINTS:
         return Rejected(Reason.ROWS_NOT_CONFIRMED, {"row_share": rows.share, "row_chance": rows.chance})
     pair = replace(_known_pair(cameras, x1, x2, probability), extra_points=(expected.x1, expected.x2))
     if pair.angle_deg < min_angle_deg:
         return Rejected(Reason.NO_BASELINE, {"angle_deg": pair.angle_deg, "needed_deg": min_angle_deg})
+
+    # 3. laid out anew, for the points that matched
     layout = fit(pair)
     if isinstance(layout, Rejected):
         return layout
@@ -196,44 +251,62 @@ def _reaching_ground(
     left, right = views
     if left is None or right is None or isinstance(result, Rejected) or geometry is None or scene is None or scene.ground is None:
         return result
-    cameras = left, right
-    x1, x2 = ground_in_both(*cameras, scene.ground)
-    if len(x1) < _FEWEST_POINTS or _share_in_reach(result, x1, x2) >= _LEAST_GROUND_IN_REACH:
+    cameras = (left, right)
+    ground1, ground2 = ground_in_both(left, right, scene.ground)
+    if len(ground1) < _FEWEST_POINTS or _share_in_reach(result, ground1, ground2) >= _LEAST_GROUND_IN_REACH:
         return result
-    matched = _agreeing_matches(geometry, *cameras)
+    # points of the ground join the matches, less those below it, which come from repeating stones
+    matched = _agreeing_matches(geometry, left, right)
     above = _above_plane(_lowered(scene.ground, cameras), cameras, matched.x1, matched.x2)
-    x1, x2 = np.concatenate([matched.x1[above], x1]), np.concatenate([matched.x2[above], x2])
+    x1 = np.concatenate([matched.x1[above], ground1])
+    x2 = np.concatenate([matched.x2[above], ground2])
     pair = _known_pair(cameras, x1, x2, np.ones(len(x1), np.float32))
     layout = fit(pair)
     if isinstance(layout, Rejected):
         return result
     wider = finish_layout(*layout, pair, None, float("inf"), _MARGIN_OF_POINTS)
-    return result if isinstance(wider, Rejected) else replace(wider, ground=_ground_of_pair(cameras, scene))
+    if isinstance(wider, Rejected):
+        return result
+    return replace(wider, ground=_ground_of_pair(cameras, scene))
 
 
 def _share_in_reach(result: Rectification, x1: Float64s, x2: Float64s) -> float:
     """Share of points (n, 2), (n, 2) of the frames that both rectified images show within the disparity range."""
-    y1, y2 = to_rectified(result, 1, x1), to_rectified(result, 2, x2)
-    shown = [((y > -0.5) & (y < np.array(size) - 0.5)).all(axis=1) for y, size in ((y1, result.size1), (y2, result.size2))]
+    y1 = to_rectified(result, 1, x1)
+    y2 = to_rectified(result, 2, x2)
+    shown1 = ((y1 > -0.5) & (y1 < np.array(result.size1) - 0.5)).all(axis=1)
+    shown2 = ((y2 > -0.5) & (y2 < np.array(result.size2) - 0.5)).all(axis=1)
     disparity = y1[:, 0] - y2[:, 0]
     in_range = (disparity >= result.disparity_min_px) & (disparity <= result.disparity_max_px)
-    return float(np.mean(shown[0] & shown[1] & in_range))
+    return float(np.mean(shown1 & shown2 & in_range))
 
 
 def _known_pair(cameras: tuple[Camera, Camera], x1: Float64s, x2: Float64s, probability: Float32s) -> MatchedPair:
     """Points x1, x2 (n, 2) as if they were matches, of cameras that determine F."""
     left, right = cameras
-    sizes = (left.width, left.height), (right.width, right.height)
-    F = fundamental_from_cameras(left, right)
-    return MatchedPair(F, x1, x2, probability, *sizes, left, right, convergence_deg(left, right, x1, x2))
+    return MatchedPair(
+        F=fundamental_from_cameras(left, right),
+        x1=x1,
+        x2=x2,
+        probability=probability,
+        size1=(left.width, left.height),
+        size2=(right.width, right.height),
+        camera1=left,
+        camera2=right,
+        angle_deg=convergence_deg(left, right, x1, x2),
+    )
 
 
 def _ground_of_pair(cameras: tuple[Camera, Camera], scene: Scene | None) -> GroundOfPair | None:
+    """The ground as both frames show it, and a plane beneath it; None if it is unknown."""
     if scene is None or scene.ground is None:
         return None
-    lines = (inverse_depth_line(camera, scene.ground) for camera in cameras)
+    left, right = cameras
     return GroundOfPair(
-        *(ground_homography(*cameras, plane) for plane in (scene.ground, _lowered(scene.ground, cameras))), *lines
+        homography=ground_homography(left, right, scene.ground),
+        beneath=ground_homography(left, right, _lowered(scene.ground, cameras)),
+        inverse_depth1=inverse_depth_line(left, scene.ground),
+        inverse_depth2=inverse_depth_line(right, scene.ground),
     )
 
 
@@ -247,27 +320,37 @@ def _above_plane(plane: Float64s, cameras: tuple[Camera, Camera], x1: Float64s, 
     """(n,) bool: which matches lie above a plane (4,)."""
     depth, _ = triangulate_depth(*cameras, x1, x2)
     line = inverse_depth_line(cameras[0], plane)
-    return np.asarray(1 / depth >= x1 @ line[:2] + line[2])
+    inverse_depth_of_plane = x1 @ line[:2] + line[2]
+    return np.asarray(1 / depth >= inverse_depth_of_plane)  # nearer than the plane on the same ray
 
 
 def _agreeing_matches(geometry: Geometry, left: Camera | None, right: Camera | None) -> MatchedPair:
     """F from the cameras where both are known, and the matches that agree with it."""
-    sizes = (geometry.view1.width, geometry.view1.height), (geometry.view2.width, geometry.view2.height)
+    size1 = (geometry.view1.width, geometry.view1.height)
+    size2 = (geometry.view2.width, geometry.view2.height)
     if left is None or right is None:
-        return MatchedPair(geometry.F, geometry.x1, geometry.x2, geometry.probability, *sizes, None, None, geometry.angle_deg)
+        return MatchedPair(
+            geometry.F, geometry.x1, geometry.x2, geometry.probability, size1, size2, None, None, geometry.angle_deg
+        )
     F = fundamental_from_cameras(left, right)
-    keep = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= max(1.5, 0.002 * max(sizes[0]))
-    x1, x2 = np.compress(keep, geometry.x1, axis=0), np.compress(keep, geometry.x2, axis=0)
-    return MatchedPair(F, x1, x2, geometry.probability[keep], *sizes, left, right, convergence_deg(left, right, x1, x2))
+    tolerance_px = max(_AGREEMENT_PX, _AGREEMENT_SHARE * max(size1))
+    keep = symmetric_epipolar_distance(F, geometry.x1, geometry.x2) <= tolerance_px
+    x1 = np.compress(keep, geometry.x1, axis=0)
+    x2 = np.compress(keep, geometry.x2, axis=0)
+    angle_deg = convergence_deg(left, right, x1, x2)
+    return MatchedPair(F, x1, x2, geometry.probability[keep], size1, size2, left, right, angle_deg)
 
 
 def _unreliable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> Rejected | None:
-    if pair.camera1 is None and geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
+    """Reasons why F from the matches alone is not to be believed; none where cameras give it."""
+    if pair.camera1 is not None:
+        return None
+    if geometry.angle_deg < min_angle_deg and hardly_converging(geometry.angle_deg, geometry.agreement):
         return Rejected(Reason.NO_BASELINE, {"angle_deg": geometry.angle_deg, "needed_deg": min_angle_deg})
-    if pair.camera1 is None and geometry.score <= 0:
+    if geometry.score <= 0:
         figures = {"score": geometry.score, "matches": len(geometry.x1), "agreement": geometry.agreement}
         return Rejected(Reason.UNLIKELY_GEOMETRY, figures)
-    if pair.camera1 is None and geometry.implausibility > MOST_IMPLAUSIBLE:
+    if geometry.implausibility > MOST_IMPLAUSIBLE:
         return Rejected(Reason.IMPLAUSIBLE_INTRINSICS, {"implausibility": geometry.implausibility, "allowed": MOST_IMPLAUSIBLE})
     return None
 
@@ -275,7 +358,7 @@ def _unreliable(geometry: Geometry, pair: MatchedPair, min_angle_deg: float) -> 
 def _unusable(match_count: int, pair: MatchedPair, min_matches: int, min_angle_deg: float) -> Rejected | None:
     """Reasons that hold for every method: too few of the given matches left, cameras that contradict them, no baseline."""
     n = len(pair.x1)
-    if n < min_matches <= match_count or n < 0.5 * match_count:
+    if n < min_matches <= match_count or n < _LEAST_AGREEING * match_count:
         return Rejected(Reason.CAMERAS_CONTRADICT_MATCHES, {"matches": match_count, "agreeing": n})
     if n < min_matches:
         return Rejected(Reason.TOO_FEW_MATCHES, {"matches": n, "needed": min_matches})

@@ -23,11 +23,26 @@ from .quality import line_uncertainty, order_agreement
 from .warping import Side, from_rectified, rectified_size, resampling, to_rectified
 
 _SMALLEST_SIDE_PX = 16
+"""Polar images with a shorter side, pixels, show nothing that could be matched."""
+_LEAST_IN_FRONT = 0.98
+"""Smallest share of the matches in front of the line sent to infinity, or on one side of the epipole, for a correct F."""
+_MOST_STRETCH = 4.0
+"""Homographies that enlarge some parts of the image this many times more than others tear it: an epipole is near."""
+_MOST_ANISOTROPY = 3.0
+"""Homographies that make pixels this many times longer than wide tear the image."""
+_LEAST_ORDER_AGREEMENT = 0.7
+"""Smallest rank correlation of matches along the rows for a correct F."""
+_FEW_MATCHES = 50
+"""A rectification from fewer matches carries a warning."""
+_RANGE_TAIL = 0.5
+"""Per cent of the matches beyond either end of the disparity range before it is widened: wrong matches."""
+_RANGE_MARGIN_OF_WIDTH = 0.01
+"""Widening of the disparity range at either end besides `range_margin`, as a share of the frame's width."""
 _NOMINAL_SIDE = 768
 """Long side of the frame, pixels, for which `max_row_error_px` is stated; the limit grows with larger frames."""
 _DEVIATIONS = 3.5
-"""Standard deviations by which epipolar lines may be off: residuals miss errors that matches share, and wrong matches that agree.
-Chosen on fountain with known lenses as the smallest with which no pair with wrong rows passes; checked on entry and the demo."""
+"""Standard deviations by which epipolar lines may be off: residuals miss errors that matches share, and wrong matches that agree
+(measured on fountain with known lenses: the smallest with which no pair with wrong rows passes)."""
 
 
 class Footprint(NamedTuple):
@@ -75,44 +90,59 @@ def fit_layout(
 
 
 def _by_homographies(pair: MatchedPair, homographies: Homographies, method: str, reason: str, allow_torn: bool) -> Layout | str:
+    """The layout by two homographies, or why they tear the image.
+
+    Parameters
+    ----------
+    pair, homographies : frames' sizes, F, and matches; what the method found.
+    method, reason : name of the method, and why it was chosen, for the result.
+    allow_torn : accept homographies that stretch the image too much.
+    """
     H1, H2 = homographies
     shown1, shown2 = pair.shown()
-    in_front1, in_front2 = _third_coordinate(H1, shown1) > 0, _third_coordinate(H2, shown2) > 0
-    if min(in_front1.mean(), in_front2.mean()) < 0.98 or not np.isfinite([H1, H2]).all():
+    in_front1 = _third_coordinate(H1, shown1) > 0
+    in_front2 = _third_coordinate(H2, shown2) > 0
+    if min(in_front1.mean(), in_front2.mean()) < _LEAST_IN_FRONT or not np.isfinite([H1, H2]).all():
         return "an epipole lies among the matches"
-    x1, x2 = (np.compress(in_front1 & in_front2, x, axis=0) for x in (shown1, shown2))  # 5 times as fast as x[...]
+    in_front = in_front1 & in_front2
+    x1 = np.compress(in_front, shown1, axis=0)  # 5 times as fast as x[...]
+    x2 = np.compress(in_front, shown2, axis=0)
     H1, H2, size1, size2 = place(H1, H2, x1, x2, pair.size1, pair.size2)
+    # figures are filled in by `finish_layout`
     result = Rectification(method, reason, H1, H2, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"))
-    footprints = [_footprint(result, pair, side) for side in _SIDES]
+    footprints = [_footprint(result, pair, 1), _footprint(result, pair, 2)]
     for footprint, H in zip(footprints, (H1, H2), strict=True):
         if len(footprint.points) == 0 or _third_coordinate(H, footprint.points).min() <= 0:
             return "the line sent to infinity crosses the image"
         if allow_torn:
             continue
         low, high = np.sqrt(percentiles(np.abs(footprint.area), 5, 95))
-        if high > 4 * low:
+        if high > _MOST_STRETCH * low:
             return f"{method} stretches the image {high / low:.1f} times: an epipole is near, or the matches scatter"
         (anisotropy,) = percentiles(footprint.longer / footprint.shorter, 95)
-        if anisotropy > 3:
+        if anisotropy > _MOST_ANISOTROPY:
             return f"{method} makes pixels {anisotropy:.1f} times longer than wide: an epipole is near, or the matches scatter"
     return result, footprints
 
 
 def _third_coordinate(H: Float64s, x: Float64s) -> Float64s:
-    """(n,): third homogeneous coordinate of the images of points x (n, 2); 0 on the line sent to infinity."""
+    """(n,) third homogeneous coordinate of the images of points x (n, 2); 0 on the line sent to infinity."""
     return np.asarray(x @ H[2, :2] + H[2, 2], dtype=np.float64)
 
 
 def _by_polar_rows(pair: MatchedPair, images: PolarImages, method: str, reason: str) -> Layout | Rejected:
+    """The layout with half epipolar lines as rows, or why it is of no use; `method` and `reason` as in `_by_homographies`."""
     rows1, rows2, size1, size2, agreement = images
-    if agreement < 0.98:
+    if agreement < _LEAST_IN_FRONT:
         return Rejected(Reason.EPIPOLE_AMONG_MATCHES, {"same_side": agreement})
     too_few = Rejected(Reason.TOO_FEW_EPIPOLAR_LINES, {"rows": size1[1], "columns": size1[0]})
     if min(*size1, *size2) < _SMALLEST_SIDE_PX:
         return too_few
     result = Rectification(method, reason, None, None, size1, size2, 0.0, 0.0, 0.0, 0.0, float("nan"), rows1, rows2)
-    footprints = [_footprint(result, pair, side) for side in _SIDES]
-    return too_few if min(footprint.share for footprint in footprints) == 0 else (result, footprints)
+    footprints = [_footprint(result, pair, 1), _footprint(result, pair, 2)]
+    if min(footprint.share for footprint in footprints) == 0:
+        return too_few
+    return result, footprints
 
 
 def finish_layout(
@@ -134,22 +164,32 @@ def finish_layout(
     max_row_error_px : a larger error of the rows is rejected.
     range_margin : share of the disparity range that is added at either end.
     """
-    y1, y2 = to_rectified(found, 1, pair.x1), to_rectified(found, 2, pair.x2)
+    y1 = to_rectified(found, 1, pair.x1)
+    y2 = to_rectified(found, 2, pair.x2)
     vertical = np.abs(y1[:, 1] - y2[:, 1])
+    footprint1, footprint2 = footprints
+
+    # signs that it is wrong
     agreement = order_agreement(y1, y2)
-    if agreement < 0.7 and geometry is not None:
+    if agreement < _LEAST_ORDER_AGREEMENT and geometry is not None:
         return Rejected(Reason.ROW_ORDER, {"rank_correlation": agreement})
-    areas = [np.median(footprint.area) for footprint in footprints]
-    if min(areas) <= 0:
-        return Rejected(Reason.MIRRORED, {"area1": areas[0], "area2": areas[1]})
-    disparity = y1[:, 0] - y2[:, 0]
-    low, high = percentiles(disparity, 0.5, 99.5)
-    margin = range_margin * (high - low) + 0.01 * pair.size1[0]
-    scale = float(np.sqrt(np.median(np.concatenate([footprint.area for footprint in footprints]))))
-    uncertainty = _row_uncertainty_px(found, footprints[0].points, pair, geometry, y1, y2)
+    area1 = np.median(footprint1.area)
+    area2 = np.median(footprint2.area)
+    if min(area1, area2) <= 0:
+        return Rejected(Reason.MIRRORED, {"area1": area1, "area2": area2})
+    uncertainty = _row_uncertainty_px(found, footprint1.points, pair, geometry, y1, y2)
     allowed = max_row_error_px * max(1.0, max(pair.size1) / _NOMINAL_SIDE)
     if uncertainty > allowed:
         return Rejected(Reason.UNCERTAIN_ROWS, {"row_error_px": uncertainty, "allowed_px": allowed})
+
+    # figures
+    disparity = y1[:, 0] - y2[:, 0]
+    low, high = percentiles(disparity, _RANGE_TAIL, 100 - _RANGE_TAIL)
+    margin = range_margin * (high - low) + _RANGE_MARGIN_OF_WIDTH * pair.size1[0]
+    areas = np.concatenate([footprint1.area, footprint2.area])
+    scale = float(np.sqrt(np.median(areas)))  # a length from an area
+    elongations = np.concatenate([footprint1.longer / footprint1.shorter, footprint2.longer / footprint2.shorter])
+    warnings = ("few matches",) if len(pair.x1) < _FEW_MATCHES else ()
     return replace(
         found,
         disparity_min_px=float(np.floor(low - margin)),
@@ -158,19 +198,18 @@ def finish_layout(
         vertical_p95_px=percentiles(vertical, 95)[0],
         angle_deg=pair.angle_deg,
         scale=scale,
-        anisotropy=percentiles(np.concatenate([f.longer / f.shorter for f in footprints]), 95)[0],
-        kept1=footprints[0].share,
-        kept2=footprints[1].share,
+        anisotropy=percentiles(elongations, 95)[0],
+        kept1=footprint1.share,
+        kept2=footprint2.share,
         depth_resolution=_depth_resolution(pair, scale),
-        warnings=("few matches",) if len(pair.x1) < 50 else (),
+        warnings=warnings,
     )
 
 
-_SIDES: tuple[Side, ...] = (1, 2)
-
-
 def _footprint(rectification: Rectification, pair: MatchedPair, side: Side) -> Footprint:
+    """Where the rectified image of one side shows its frame."""
     grid = frame_grid(pair.size1 if side == 1 else pair.size2)
+    # points on the line sent to infinity have no place in the rectified image
     with np.errstate(divide="ignore", invalid="ignore"):
         x = to_rectified(rectification, side, grid)
         width, height = rectified_size(rectification, side)
@@ -189,19 +228,32 @@ def _row_uncertainty_px(
     """
     if pair.camera1 is not None or geometry is None:
         return 0.0
+    # 1. points of the shared area in both frames
     rectified = to_rectified(rectification, 1, shown)
-    rectified[:, 0] -= (y1[:, 0] - y2[:, 0])[nearest_points(y1, rectified, 1)[1][:, 0]]
+    _, nearest = nearest_points(y1, rectified, 1)
+    disparity = y1[:, 0] - y2[:, 0]
+    rectified[:, 0] -= disparity[nearest[:, 0]]
     partner = from_rectified(rectification, 2, rectified)
     inside = ((partner >= -0.5) & (partner <= np.array(pair.size2) - 0.5)).all(axis=1)
     if not inside.any():
         return 0.0
-    K1, K2 = geometry.view1.K, geometry.view2.K
-    essential = (K1, K2) if geometry.model == "E" and K1 is not None and K2 is not None else None  # five degrees of freedom only
+    shown = np.compress(inside, shown, axis=0)
+    partner = np.compress(inside, partner, axis=0)
+
+    # 2. in which ways F may be wrong
+    K1 = geometry.view1.K
+    K2 = geometry.view2.K
+    essential = None
+    if geometry.model == "E" and K1 is not None and K2 is not None:
+        essential = (K1, K2)  # five degrees of freedom only
     lenses = None
     if geometry.lens1 is not None and geometry.lens2 is not None:
         lenses = freedoms(pair.F, geometry.lens1, geometry.lens2, geometry.view1, geometry.view2)
-    noise = None if geometry.noise_px is None else geometry.noise_px.astype(np.float64)
-    shown, partner = np.compress(inside, shown, axis=0), np.compress(inside, partner, axis=0)
+    noise = None
+    if geometry.noise_px is not None:
+        noise = geometry.noise_px.astype(np.float64)
+
+    # 3. how far its lines may be off there
     sigma = line_uncertainty(pair.F, pair.x1, pair.x2, shown, partner, essential, noise, lenses)
     return _DEVIATIONS * percentiles(sigma, 95)[0]
 
@@ -212,4 +264,6 @@ def _depth_resolution(pair: MatchedPair, scale: float) -> float:
         return float("nan")
     depth, error_per_px = triangulate_depth(pair.camera1, pair.camera2, pair.x1, pair.x2)
     known = np.isfinite(depth)
-    return np.median(error_per_px[known] / depth[known]) / scale if known.any() else float("nan")
+    if not known.any():
+        return float("nan")
+    return np.median(error_per_px[known] / depth[known]) / scale

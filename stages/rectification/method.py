@@ -11,6 +11,7 @@ from ..types import Camera, Float32s, Float64s, PolarRows
 from .placement import Size
 
 Points = tuple[Float64s, Float64s] | None
+"""Pixels (m, 2) of frame 1, and of frame 2; None if there are none."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class MatchedPair:
         """Points in both images around which the rectified images are cropped."""
         if self.extra_points is None:
             return self.x1, self.x2
-        return np.concatenate([self.x1, self.extra_points[0]]), np.concatenate([self.x2, self.extra_points[1]])
+        extra1, extra2 = self.extra_points
+        return np.concatenate([self.x1, extra1]), np.concatenate([self.x2, extra2])
 
 
 class Homographies(NamedTuple):
