@@ -6,13 +6,13 @@ import difflib
 import errno
 import sys
 import traceback
+from importlib import import_module
 
 import click
 
 from .. import __version__
 from ..cache.atomic import DISK_FULL_ERRORS, disk_fault
 from ..errors import ExitCode, WbflowError
-from . import results, run, setup
 from .common import stop
 
 _UNWRITABLE = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -61,8 +61,9 @@ def main() -> None:
     """
 
 
-for _module in (run, results, setup):
-    for _command in vars(_module).values():
+for _name in ("run", "results", "setup"):
+    # by name: the command line knows where its commands are, not what they need
+    for _command in vars(import_module(f"{__package__}.{_name}")).values():
         if isinstance(_command, click.Command):
             main.add_command(_command)
 

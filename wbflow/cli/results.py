@@ -362,8 +362,8 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     wbflow clean site.yaml --keep 7 --dry-run     print how much would be removed
     wbflow clean site.yaml --keep 7 --clouds 30
     """
-    from ..cache.cleanup import Keep
-    from ..cache.cleanup import clean as remove
+    from ..records.cleanup import clean as remove
+    from ..records.keep import Keep
     from ..records.run_folder import hold_to_write
 
     folder = load(site, work).work_folder

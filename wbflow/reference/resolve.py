@@ -111,7 +111,7 @@ class Resolver:
             return None
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
-                raise self.unfit_error((camera,))
+                raise self._unfit_error(camera)
         if not self._enough_poses_known() or self._forced & ancestors(stage.name):
             return None
         use = self._use(stage.reuse, task)
@@ -159,21 +159,25 @@ class Resolver:
             views.setdefault(camera_of(view), []).append(view)
         return views
 
-    def is_useless(self, view: str) -> bool:
-        """Is it known that a view shows nothing of the site tonight?"""
-        health = self._known_health(view)
-        return self.reference is not None and health is not None and health.state in USELESS
+    def unfit(self, subject: Subject) -> Impossible | None:
+        """Why a subject is of no use tonight: one of its cameras is known to show nothing of the site; None if none is."""
+        if self.reference is None:
+            return None
+        for view in subject:
+            health = self._known_health(view)
+            if health and health.state in USELESS:
+                return self._unfit_error(view)
+        return None
 
     def _known_health(self, view: str) -> Health | None:
         """The health of a view: that of its camera if this is stale, else what was found tonight; None if nothing was."""
         return self.night.stale.get(camera_of(view)) or self._healths.get(view)
 
-    def unfit_error(self, subject: Subject) -> Impossible:
-        """Why a task is impossible: a camera of its subject shows nothing of the site."""
-        camera = next((view for view in subject if self.is_useless(view)), subject[0])
-        if health := self._known_health(camera):
-            return Impossible(f"camera {camera} is {health.state}: {health.text}", Cause.UNFIT)
-        frame = Task(FRAMES, (camera,))
+    def _unfit_error(self, view: str) -> Impossible:
+        """Why a task is impossible: this view shows nothing of the site."""
+        if health := self._known_health(view):
+            return Impossible(f"camera {view} is {health.state}: {health.text}", Cause.UNFIT)
+        frame = Task(FRAMES, (view,))
         return blocked_by(frame, self.states[frame])
 
     def task_ended(self, task: Task) -> None:

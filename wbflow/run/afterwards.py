@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 
-from ..cache.cleanup import Keep, clean
 from ..errors import WbflowError
+from ..records.cleanup import clean
 from ..records.finished_run import Run
+from ..records.keep import Keep
 from ..records.ledger import Ledger
 from ..reference.create import fit_to_pin, pin
 from ..site.models import Site

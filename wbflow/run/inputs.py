@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 
 from ..pipeline.stages import FRAMES, HEALTH, PAIRS, Source, Stage, stage_named
-from ..reference.resolve import Resolver
 from ..site.captures import CaptureFile, file_of_stage
 from ..task import Subject, Task, camera_of
 from .night import Night
@@ -22,7 +21,10 @@ class Inputs:
     night: Night
     subjects: Subjects
     """Cameras, pairs and components, with the states of the tasks that have ended; they change during the run."""
-    resolver: Resolver
+    from_reference: Callable[[Source, Task], Input]
+    """An input from the reference or from the nights since then."""
+    unfit: Callable[[Subject], Impossible | None]
+    """Why a subject is of no use tonight: a camera shows nothing of the site; None if no camera is known to."""
 
     def inputs_of(self, task: Task, needs: Mapping[str, Source], earlier: Set[Task]) -> dict[str, Input]:
         """All inputs of a task by argument name.  Raises Waiting if one is not ready, Impossible if one cannot be made.
@@ -50,7 +52,7 @@ class Inputs:
         if need.kind == "file":
             return self._named_file(need.name, file_of_stage(task.stage, need.name))
         if need.kind in {"reference", "history"}:
-            return self.resolver.input(need, task)
+            return self.from_reference(need, task)
         if not self._is_made(need):
             return Joined({}) if need.joins else None
         if need.joins:
@@ -105,8 +107,9 @@ class Inputs:
         items: dict[Subject, Stored] = {}
         faults: list[Impossible] = []
         for upstream in joined:
-            if task.stage != HEALTH and any(map(self.resolver.is_useless, upstream.subject)):
-                faults.append(self.resolver.unfit_error(upstream.subject))
+            # health examines every camera, also one that shows nothing of the site
+            if task.stage != HEALTH and (unfit := self.unfit(upstream.subject)):
+                faults.append(unfit)
             elif stored := Stored(upstream, need.part).resolved(states[upstream].receipt):
                 items[upstream.subject] = stored
             else:

@@ -52,7 +52,7 @@ class Plan:
         """Stages and tasks that are still to be run again."""
         self.subjects = Subjects(self.night.site, self.states, self.night.takes_part(DENSE_PAIRS))
         self.resolver = Resolver(self.night, self.states)
-        self._inputs = Inputs(self.night, self.subjects, self.resolver)
+        self._inputs = Inputs(self.night, self.subjects, self.resolver.input, self.resolver.unfit)
 
     def refresh(self) -> None:
         """Find which tasks are cached, ready or waiting; only those that may have changed are examined."""

@@ -19,10 +19,10 @@ from pydantic_core import PydanticCustomError
 
 from wbflow_stages.contracts.stated import Survey
 
-from ..cache.cleanup import Keep
 from ..cache.layout import WorkFolder
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import STAGES
+from ..records.keep import Keep
 from ..task import camera_of
 from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll

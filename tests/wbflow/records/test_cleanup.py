@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache.cleanup import Keep, clean
 from wbflow.cache.layout import WorkFolder
+from wbflow.records.cleanup import Keep, clean
 
 
 @pytest.fixture

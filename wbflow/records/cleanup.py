@@ -9,31 +9,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..records.events import TaskEvent
-from ..records.ledger import Ledger
-from ..records.reference import BadReference, read_reference
-from ..records.run_folder import NoSuchRun, RunFolder
-from .layout import WorkFolder
-
-
-@dataclass(frozen=True)
-class Keep:
-    """Limits on what is kept; None keeps everything of that kind."""
-
-    runs: int | None = None
-    nights: int | None = None
-    """Number of newest runs, and of newest nights, whose artifacts are kept; with both limits, a run must be within both."""
-    bytes: int | None = None
-    """Size limit of the cache, reference excluded: oldest runs lose their artifacts first, the newest and last good run never."""
-    clouds: int | None = None
-    reports: int | None = None
-    """Number of newest nights whose published clouds, and whose reports with their logs, are kept."""
-
-    @property
-    def keeps_artifacts(self) -> bool:
-        """Are all artifacts kept?"""
-        return self.runs is self.nights is self.bytes is None
-
+from ..cache.layout import WorkFolder
+from .events import TaskEvent
+from .keep import Keep
+from .ledger import Ledger
+from .reference import BadReference, read_reference
+from .run_folder import NoSuchRun, RunFolder
 
 _QUARANTINED = 20
 """Number of quarantined files, newest first, that an automatic cleanup keeps so that their damage can be investigated."""
