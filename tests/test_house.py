@@ -219,7 +219,7 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
         "cli/main.py",
         "cli/run.py",
         "remote.py",
-        "run/publish.py",
+        "run/life.py",
         "run/worker.py",
         "run/worker.py",
     ]

@@ -245,9 +245,10 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     wbflow pin site.yaml --list
     """
     from ..cache.store import Cache
-    from ..records.reference import drop_reference, read_reference
+    from ..records.reference import read_reference
     from ..records.run_folder import hold_to_write
     from ..reference import create
+    from ..reference.folder import drop_reference
 
     if listed + drop + refine + (run_id is not None) > 1:
         remedy = "wbflow pin SITE.yaml --list  prints the reference"

@@ -16,7 +16,7 @@ from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
 from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
-from ..records.reference import Reference, write_reference
+from ..records.reference import Reference
 from ..records.run_folder import NoSuchRun, newest_runs
 from ..run.bindings import Bindings, stages_of
 from ..run.night import Night, NightFiles
@@ -26,6 +26,7 @@ from ..run.worker import run_chain
 from ..site.models import Site
 from ..task import Task, camera_of
 from .create import CannotPin, pinned_artifacts
+from .folder import write_reference
 
 MOST_NIGHTS = 30
 """Largest number of nights to pool; the newest are used."""

@@ -9,9 +9,10 @@ from ..cache.store import Cache, Receipt
 from ..errors import ExitCode, WbflowError
 from ..pipeline.stages import STAGES
 from ..records.record import RunRecord
-from ..records.reference import PinnedArtifact, Reference, write_reference
+from ..records.reference import PinnedArtifact, Reference
 from ..records.run_folder import RunFolder, newest_runs
 from ..task import Task
+from .folder import write_reference
 
 
 class CannotPin(WbflowError, ValueError):

@@ -6,8 +6,9 @@ from ..cache.atomic import clear, write_atomic
 from ..cache.checksum import Damaged, read_checksummed, sha256_of
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
-from ..records.reference import PinnedArtifact, Reference, files_of
+from ..records.reference import PinnedArtifact, Reference
 from ..task import Task
+from .folder import files_of
 
 
 def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task], list[Task]]:

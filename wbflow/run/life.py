@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import sqlite3
+import traceback
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
 
 from ..cache.atomic import disk_fault
 from ..cache.layout import WorkFolder
@@ -12,6 +17,7 @@ from ..pipeline.stages import FRAMES
 from ..records.events import Listener
 from ..records.finished_run import Run
 from ..records.ledger import Ledger
+from ..records.record import RunRecord
 from ..records.run_folder import hold_to_write, new_run
 from ..reference.prepare import prepare
 from ..site.models import Site
@@ -64,7 +70,7 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
             plan = Plan(night)
             prepare(night, journal)
             products = run_tasks(plan, options, journal)
-            finished = publish(run, plan, products, journal, own_process=options.backend == "threading")
+            finished = publish(run, plan, products, journal, draw_report, own_process=options.backend == "threading")
             follow_up(finished, site, journal, send=products is not None and not options.until)
             if mirror and (fault := mirror.finish()):
                 journal.warn(fault)
@@ -72,6 +78,20 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
             return finished
     except OSError as error:
         raise disk_fault(error, work.root) from error
+
+
+def draw_report(night: Night, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], folder: Path) -> str:
+    """The report of a run.  The night's work is done, so a report that cannot be drawn is only a warning."""
+    try:
+        # here: a run that only plans needs no report, and its libraries take a while to import
+        from ..report.data import ReportData
+        from ..report.page import build_report
+
+        return build_report(ReportData(night.cache, record, tuple(journal.events), cameras, folder, night.site))
+    except Exception as error:  # whatever goes wrong in drawing
+        what = f"the report could not be built: {type(error).__name__}: {error}"
+        journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
+        return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
 
 
 def note_oddities(night: Night, journal: Journal) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from html import escape
+from pathlib import Path
 from typing import Any
 
 from ..cache import artifact
@@ -35,8 +34,11 @@ from .night import Night
 from .plan import Plan
 from .state import summary_of
 
+Draw = Callable[[Night, RunRecord, Journal, Mapping[str, Any], Path], str]
+"""Draws the report of a run: its night, record, events and cameras, and the folder with its files; returns HTML."""
 
-def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: Journal, own_process: bool) -> Run:
+
+def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: Journal, draw: Draw, *, own_process: bool) -> Run:
     """Write the folder of a run, and point `latest` to it.  What cannot be drawn or written as a file becomes a warning.
 
     Parameters
@@ -45,6 +47,8 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
         The run's id, its plan, whose tasks have all ended, and its events.
     products : dict, optional
         The artifacts to publish by task; None if the run was interrupted.
+    draw : callable
+        Draws the report.
     own_process : bool
         Did the tasks run in this process?
 
@@ -79,7 +83,7 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     record = with_known(judge_run(record, night, facts), acknowledged)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     # 3. the report, and the folder as a whole
-    page = _report(night, record, journal, cameras, unfinished)
+    page = draw(night, record, journal, cameras, unfinished.paths.folder)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with contextlib.suppress(OSError):  # functions are then read again by the next run
         night.site.reader.save()
@@ -138,16 +142,3 @@ def _acknowledged(site: Site, journal: Journal) -> tuple[Acknowledgement, ...]:
     except UsageError as error:
         journal.warn(f"{error.where} {error.what}", remedy=error.remedy)
         return ()
-
-
-def _report(night: Night, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], unfinished: UnfinishedRun) -> str:
-    """Return the report.  The night's work is done, so a report that cannot be drawn is only a warning."""
-    try:
-        from ..report.data import ReportData
-        from ..report.page import build_report
-
-        return build_report(ReportData(night.cache, record, tuple(journal.events), cameras, unfinished.paths.folder, night.site))
-    except Exception as error:  # whatever goes wrong in drawing
-        what = f"the report could not be built: {type(error).__name__}: {error}"
-        journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
-        return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"

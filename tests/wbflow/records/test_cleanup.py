@@ -11,7 +11,8 @@ import pytest
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cache.layout import WorkFolder
-from wbflow.records.cleanup import Keep, clean
+from wbflow.records.cleanup import clean
+from wbflow.records.keep import Keep
 
 
 @pytest.fixture
