@@ -81,7 +81,17 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
 
 
 def draw_report(night: Night, record: RunRecord, journal: Journal, cameras: Mapping[str, Any], folder: Path) -> str:
-    """The report of a run.  The night's work is done, so a report that cannot be drawn is only a warning."""
+    """The report of a run.  The night's work is done, so a report that cannot be drawn is only a warning.
+
+    Parameters
+    ----------
+    night, record, journal : Night, RunRecord, Journal
+        The run's night, its record with the verdict, and its events.
+    cameras : mapping
+        The solved cameras in the form of a calibration, by id.
+    folder : Path
+        The folder with the files of the run.
+    """
     try:
         # here: a run that only plans needs no report, and its libraries take a while to import
         from ..report.data import ReportData
