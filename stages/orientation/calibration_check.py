@@ -38,55 +38,76 @@ FEWEST_CONFIRMED = 15
 SAMPLE = 150
 """Largest number of matches sampled from a pair: the errors of more are correlated."""
 LEAST_NOISE_PX = 0.2
-"""Smallest noise of matches: no image locates points better."""
+"""Smallest noise of matches, pixels: no image locates points better."""
 OUTLIER = 3.0
 """Scale of the loss, in standard deviations."""
 AGREEING_SIGMAS = 0.8
-"""A pair agrees with the stated cameras if the median distance of its matches from the stated epipolar lines is below this (in
-standard deviations); its distant matches are then look-alikes (right cameras: 0.15 to 0.76; focal lengths +3 %: 0.8 to 7.6)."""
+"""A pair agrees with the stated cameras if the median distance of its matches from the stated epipolar lines is below this, in
+standard deviations; its distant matches are then look-alikes (measured: right cameras 0.15 to 0.76)."""
 MEDIAN_ERROR = 0.79
 """Standard error of the median absolute value of normal deviates, times the square root of their number."""
 CONTRADICTED_RATIO = 1.6
 """Confirmed matches contradict the stated cameras if their loss under these exceeds this multiple of that under their own F."""
-LEAST_LOSS_RATIO, LEAST_LOSS_RATIO_UNCONFIRMED = 1.12, 1.5
-"""Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named: with confirmed matches, and
-with unconfirmed ones.  Matches agree with the stated cameras up to the first ratio times the loss under their own F."""
-LEAST_SHARE, LEAST_SHARE_UNCONFIRMED = 0.6, 0.8
-"""A cause must remove this share of the loss beyond that under the matches' own F: for confirmed and for unconfirmed matches."""
+LEAST_LOSS_RATIO = 1.12
+"""Smallest ratio of the loss under the stated cameras to the loss under a cause for it to be named, with confirmed matches.
+Matches agree with the stated cameras up to this ratio times the loss under their own F."""
+LEAST_LOSS_RATIO_UNCONFIRMED = 1.5
+"""The same ratio for a cause to be named from unconfirmed matches."""
+LEAST_SHARE = 0.6
+"""A cause must remove this share of the loss beyond that under the matches' own F, with confirmed matches."""
+LEAST_SHARE_UNCONFIRMED = 0.8
+"""The same share for unconfirmed matches."""
 LEAST_LOSS = 30.0
 """A cause must remove this total loss, in squared standard deviations (a pair counts as at most `MOST_COUNTED` matches)."""
 MOST_COUNTED = 50
-STRAYED_SIGMAS, FEWEST_RECOVERED = 1.6, 2
-"""A pair has strayed if its median distance exceeds the first, in standard deviations: some match look-alikes, which no cause
-brings back.  A cause is named if it halves the distance of at least `FEWEST_RECOVERED` pairs, and of half of those that strayed,
-and makes no other pair stray."""
+"""Largest number of matches that a pair counts for in means over pairs."""
+STRAYED_SIGMAS = 1.6
+"""A pair has strayed if its median distance exceeds this many standard deviations: some match look-alikes, which no cause brings
+back."""
+FEWEST_RECOVERED = 2
+"""A cause is named if it halves the distance of at least this many pairs, and of half of those that strayed, and makes no other
+pair stray."""
 HARMFUL_PX = 0.4
 """Cameras that move points by less than this (median, in pixels along and across the epipolar line) do not harm a cloud."""
-FARTHEST_PX = 1e4  # largest motion of a point that counts
+FARTHEST_PX = 1e4
+"""Largest motion of a point that counts, pixels."""
 LARGEST_SITE = 12
 """Largest number of cameras among which exchanged poses are tried."""
 LARGEST_ZOOM = 3.0
 """Logarithm of the largest factor of focal lengths, and of positions, that is tried."""
 STEPS = 20
-STRETCHED, LEAST_STRETCH = ("stretched-x", "stretched-y", "stretched-z"), 0.02
-"""Causes that stretch the site along one axis, and the smallest stretch (logarithm of the factor) that is blamed: surveys have no
-smaller ones.  The matches of a harbour, all of whose poses are right, yield 0.009."""
+"""Largest number of steps of the fit of a cause."""
+STRETCHED = ("stretched-x", "stretched-y", "stretched-z")
+"""Causes that stretch the site along one axis."""
+LEAST_STRETCH = 0.02
+"""Smallest stretch (logarithm of the factor) that is blamed: surveys have no smaller ones (measured: 0.009 from right poses)."""
 CORNER = "principal-points-corner"
+"""The cause that principal points are counted from the corner of the first pixel instead of its centre."""
 CORNER_PX = np.array([-0.5, -0.5])
-"""Correction of principal points that are counted from the corner of the first pixel instead of its centre."""
+"""Correction of such principal points, pixels."""
 FEWEST_PAIRS_FOR_CORNER = 4
-"""Fewest pairs whose rows can blame `CORNER` if they give only a part of it: three of photographs with true cameras give half."""
+"""Fewest pairs whose rows can blame `CORNER` if they give only a part of it: those of three give half without any error."""
+LEAST_CORNER = 0.25
+"""Smallest part of `CORNER` that rows may give: the fit is biased towards the rows."""
+MOST_CORNER = 1.25
+"""Largest multiple of `CORNER` that rows may give."""
 SLACK_ERRORS = 3.0
 """Standard errors of the median added to `AGREEING_SIGMAS` if no cause, or only one turned or moved camera, explains matches."""
-FEWEST_TILES, LEAST_GAIN = 4, 15.0
-"""Fewest matches of a pair for its row offsets to count, and least gain of a cause (in squared standard deviations) to blame it.
-140 correct nights gain up to 10, focal lengths +1.5 % 14 to 137; photographs, from causes below the next limits, up to 84."""
+FEWEST_TILES = 4
+"""Fewest matches of a pair for its row offsets to count."""
+LEAST_GAIN = 15.0
+"""Least gain of a cause, in squared standard deviations, to blame it for row offsets (measured: correct nights up to 10)."""
 LEAST_GAIN_OF_SECOND = 4.0
-"""Least gain of the pair with the second largest one for a single camera to be blamed (houses in a row, whose rows are those of
-other houses: 0.1; cameras turned by 0.2 degrees or moved by 0.15 m: 5.5 or more)."""
-LEAST_MOTION_OF_ONE, LEAST_MOTION_ALONG, LEAST_TURN = 1.25e-3, 6e-4, 2e-3
-"""Smallest effects, as shares of the width, for row offsets to blame a cause.  Of single cameras: motion of points (the first;
-four photographs with true cameras: 6e-4).  Of all cameras: motion of points (the second) or turn of rays (the third)."""
+"""Least gain of the pair with the second largest one for a single camera to be blamed (measured: rows of look-alikes 0.1, wrong
+cameras 5.5 or more)."""
+LEAST_MOTION_OF_ONE = 1.25e-3
+"""Smallest motion of points, as a share of the width, for row offsets to blame a single camera (measured: true cameras 6e-4)."""
+LEAST_MOTION_ALONG = 6e-4
+"""Smallest motion of points, as a share of the width, for row offsets to blame a cause that all cameras share."""
+LEAST_TURN = 2e-3
+"""Smallest turn of rays, in pixels as a share of the width, that is as good as this motion."""
+_POSE_UNKNOWNS = 6
+"""Unknowns of a pose: rotation and shift."""
 
 
 @dataclass(frozen=True)
@@ -175,20 +196,37 @@ def check_solved_lens(name: str, cameras: Mapping[str, Camera], geometries: Mapp
     name: of the solved camera.  cameras: this one, and those whose poses are stated.  If these are only two, nothing else checks
     their lenses: all three may have other focal lengths.  geometries: of all pairs.
     """
-    probable = {p: g for p, g in geometries.items() if set(p) <= set(cameras) and g.good_probability >= LEAST_PROBABILITY}
-    evidence = [_sampled(p, g, g) for p, g in probable.items() if (name in p or len(cameras) == 3) and len(g.x1) >= MIN_SHARED]
+    # 1. The matches: of this camera, or of all if there is a third one to compare.
+    all_three = len(cameras) == 3
+    evidence = []
+    for pair, geometry in geometries.items():
+        if not set(pair) <= set(cameras) or geometry.good_probability < LEAST_PROBABILITY:
+            continue
+        if (name in pair or all_three) and len(geometry.x1) >= MIN_SHARED:
+            evidence.append(_sampled(pair, geometry, geometry))
     if sum(name in matches.pair for matches in evidence) < 2:
         return None
+
+    # 2. Fit poses of its own to the camera: with its lens, and with other focal lengths.
     stated = {camera: _CheckedView(as_stated) for camera, as_stated in cameras.items()}
-    lenses = [_simple("focal-length", 1, _zoomed, name), *([_simple("focal-lengths", 1, _zoomed)] if len(cameras) == 3 else [])]
-    unchanged, baseline = _simple("", 0, lambda view, _: view, name), _baseline(stated, evidence)
-    posed, *zoomed = (_fit(_with_pose(lens, name, baseline), stated, evidence) for lens in (unchanged, *lenses))
+    baseline = _baseline(stated, evidence)
+    unchanged = _simple("", 0, lambda view, _: view, name)
+    lenses = [_simple("focal-length", 1, _zoomed, name)]
+    if all_three:
+        lenses.append(_simple("focal-lengths", 1, _zoomed))
+    posed = _fit(_with_pose(unchanged, name, baseline), stated, evidence)
+    zoomed = [_fit(_with_pose(lens, name, baseline), stated, evidence) for lens in lenses]
     best = min(zoomed, key=lambda explanation: explanation.loss)
-    gain, excess = posed.loss - best.loss, posed.loss - min(_own_loss(evidence), best.loss)
-    best = replace(best, amount=best.amount[6:])
-    named = _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
+
+    # 3. Is the fit clearly better with another one, and does that move points?
+    gain = posed.loss - best.loss
+    excess = posed.loss - min(_own_loss(evidence), best.loss)
     is_clear = gain * sum(_counts(evidence)) >= LEAST_GAIN and gain >= LEAST_SHARE_UNCONFIRMED * excess
-    return named if is_clear and named.off_px >= HARMFUL_PX else None
+    if not is_clear:
+        return None
+    best = replace(best, amount=best.amount[_POSE_UNKNOWNS:])
+    named = _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
+    return named if named.off_px >= HARMFUL_PX else None
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
@@ -213,28 +251,48 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     loss = _loss(stated, evidence)
-    explanations = [_fit(cause, stated, evidence) for cause in _causes(stated, evidence, unconfirmed=False)]
-    best = _simplest([e for e in explanations if _is_seen_by_two_pairs(e, stated, evidence)], loss, slack=0.0)
-    corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted(view, a * CORNER_PX / view.camera.width)), stated, evidence)
-    is_corner = best.cause.name == "principal-points" and loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
-    if is_corner and len(evidence) >= FEWEST_PAIRS_FOR_CORNER and 0.25 <= corner.amount[0] <= 1.25:  # biased toward the rows
-        best = corner
+
+    # 1. The simplest cause that explains the offsets.
+    explanations = []
+    for cause in _causes(stated, evidence, unconfirmed=False):
+        explanation = _fit(cause, stated, evidence)
+        if _is_seen_by_two_pairs(explanation, stated, evidence):
+            explanations.append(explanation)
+    best = _simplest(explanations, loss, slack=0.0)
+
+    # 2. Shifted principal points are likelier half a pixel than anything else, if that explains most.
+    if best.cause.name == "principal-points" and len(evidence) >= FEWEST_PAIRS_FOR_CORNER:
+        corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted(view, a * CORNER_PX / view.camera.width)), stated, evidence)
+        explains_most = loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
+        if explains_most and LEAST_CORNER <= corner.amount[0] <= MOST_CORNER:
+            best = corner
+
+    # 3. Is it more than noise, and than the errors that cameras always have?
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
-    misfit, count = loss / max(best.loss, 1e-9), sum(len(m.x1) for m in evidence)
-    is_confirmed = len(sufficient) >= len(cameras) == len(graph := nx.Graph(list(sufficient))) and nx.is_connected(graph)
-    check = CalibrationCheck(count, len(evidence), is_confirmed, misfit, sigmas=sqrt(gain))
-    return (
-        _with_cause(check, best, stated, evidence)
-        if gain >= LEAST_GAIN and _exceeds_typical_errors(best, stated, evidence)
-        else check
+    graph = nx.Graph(list(sufficient))
+    is_confirmed = len(sufficient) >= len(cameras) == len(graph) and nx.is_connected(graph)
+    check = CalibrationCheck(
+        matches=sum(len(matches.x1) for matches in evidence),
+        pairs=len(evidence),
+        confirmed=is_confirmed,
+        misfit=loss / max(best.loss, 1e-9),
+        sigmas=sqrt(gain),
     )
+    if gain >= LEAST_GAIN and _exceeds_typical_errors(best, stated, evidence):
+        return _with_cause(check, best, stated, evidence)
+    return check
 
 
 def _is_seen_by_two_pairs(explanation: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
     """Does a cause concern all cameras, or improve the fit of two pairs?  The rows of one may be those of look-alikes."""
-    pairs = [m for m in evidence if {*m.pair} & {*explanation.cause.cameras}]
-    gains = [n * (_loss(stated, [m]) - _loss(explanation.world, [m])) for m, n in zip(pairs, _counts(pairs), strict=True)]
-    return not explanation.cause.cameras or sorted([0.0, *gains])[-2] >= LEAST_GAIN_OF_SECOND
+    blamed = set(explanation.cause.cameras)
+    if not blamed:
+        return True
+    pairs = [matches for matches in evidence if blamed & set(matches.pair)]
+    gains = [0.0]
+    for matches, count in zip(pairs, _counts(pairs), strict=True):
+        gains.append(count * (_loss(stated, [matches]) - _loss(explanation.world, [matches])))
+    return sorted(gains)[-2] >= LEAST_GAIN_OF_SECOND
 
 
 def _exceeds_typical_errors(best: _Explanation, stated: _World, evidence: list[_Matches]) -> bool:
@@ -243,25 +301,38 @@ def _exceeds_typical_errors(best: _Explanation, stated: _World, evidence: list[_
     if name == CORNER:
         return True  # however small its effect: it is half a pixel or nothing
     if best.cause.cameras:
-        return _moved_px(stated, best.world, evidence) >= LEAST_MOTION_OF_ONE * next(iter(stated.values())).camera.width
-    return (name not in STRETCHED or abs(best.amount[0]) >= LEAST_STRETCH) and _is_noticeable(stated, best.world, evidence)
+        width = next(iter(stated.values())).camera.width
+        return _moved_px(stated, best.world, evidence) >= LEAST_MOTION_OF_ONE * width
+    if name in STRETCHED and abs(best.amount[0]) < LEAST_STRETCH:
+        return False
+    return _is_noticeable(stated, best.world, evidence)
 
 
 def _evidence(stated: _World, geometries: Mapping[Pair, Geometry]) -> tuple[list[_Matches], list[_Matches]]:
     """Confirmed matches of pairs of stated cameras, and all matches of the pairs with too few confirmed ones."""
-    large_pairs = {pair: geometry for pair, geometry in geometries.items() if len(geometry.x1) >= MIN_SHARED}
-    probable = {pair: geometry for pair, geometry in large_pairs.items() if geometry.good_probability >= LEAST_PROBABILITY}
-    consistent = {pair: geometry for pair, geometry in consistent_matches(probable).items() if set(pair) <= set(stated)}
-    sufficient = {pair: geometry for pair, geometry in consistent.items() if len(geometry.x1) >= FEWEST_CONFIRMED}
-    confirmed = [_sampled(pair, geometry, geometries[pair]) for pair, geometry in sufficient.items()]
-    return confirmed, [_sampled(pair, geometries[pair], geometries[pair]) for pair in consistent if pair not in sufficient]
+    # Pairs with other cameras serve to confirm matches, too.
+    probable = {}
+    for pair, geometry in geometries.items():
+        if len(geometry.x1) >= MIN_SHARED and geometry.good_probability >= LEAST_PROBABILITY:
+            probable[pair] = geometry
+    confirmed = []
+    unconfirmed = []
+    for pair, consistent in consistent_matches(probable).items():
+        if not set(pair) <= set(stated):
+            continue
+        if len(consistent.x1) >= FEWEST_CONFIRMED:
+            confirmed.append(_sampled(pair, consistent, geometries[pair]))
+        else:
+            unconfirmed.append(_sampled(pair, geometries[pair], geometries[pair]))
+    return confirmed, unconfirmed
 
 
 def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Matches]) -> CalibrationCheck:
     """Check by confirmed matches; by the others if there are none."""
     evidence = confirmed or other_matches
     check = _without_cause(stated, evidence, is_confirmed=bool(confirmed))
-    excess, own_loss = _excess(stated, evidence), _own_loss(evidence)
+    excess = _excess(stated, evidence)
+    own_loss = _own_loss(evidence)
     if excess <= LEAST_LOSS_RATIO * own_loss:
         return check
     exceeds_noise = check.confirmed and excess > CONTRADICTED_RATIO * own_loss
@@ -285,9 +356,15 @@ def _without_cause(stated: _World, evidence: list[_Matches], is_confirmed: bool)
 
 def _with_cause(check: CalibrationCheck, best: _Explanation, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
     """The result with the cause of the contradiction."""
-    cause, amount, ratio = best.cause, tuple(float(a) for a in best.amount), _loss(stated, evidence) / best.loss
-    off_px = _moved_px(stated, best.world, evidence)
-    return replace(check, contradicted=True, cause=cause.name, cameras=cause.cameras, amount=amount, better=ratio, off_px=off_px)
+    return replace(
+        check,
+        contradicted=True,
+        cause=best.cause.name,
+        cameras=best.cause.cameras,
+        amount=tuple(float(a) for a in best.amount),
+        better=_loss(stated, evidence) / best.loss,
+        off_px=_moved_px(stated, best.world, evidence),
+    )
 
 
 def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
@@ -370,9 +447,11 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
 
 def _explains(best: _Explanation, stated: _World, evidence: list[_Matches], unconfirmed: bool) -> bool:
     """Does a cause restore the fit that the matches have under their own geometry?"""
-    ratio, share = (LEAST_LOSS_RATIO_UNCONFIRMED, LEAST_SHARE_UNCONFIRMED) if unconfirmed else (LEAST_LOSS_RATIO, LEAST_SHARE)
+    ratio = LEAST_LOSS_RATIO_UNCONFIRMED if unconfirmed else LEAST_LOSS_RATIO
+    share = LEAST_SHARE_UNCONFIRMED if unconfirmed else LEAST_SHARE
     loss = _loss(stated, evidence)
-    gain, needed = loss - best.loss, share * (loss - min(_own_loss(evidence), best.loss))
+    gain = loss - best.loss
+    needed = share * (loss - min(_own_loss(evidence), best.loss))
     return loss > ratio * best.loss and gain >= needed and gain * sum(_counts(evidence)) >= LEAST_LOSS
 
 
@@ -383,20 +462,35 @@ def _moved_px(stated: _World, corrected: _World, evidence: list[_Matches]) -> fl
     for matches in evidence:
         if all(stated[name] is corrected[name] for name in matches.pair):
             continue
-        (z, gain), (corrected_z, _) = (_depths(world, matches) for world in (stated, corrected))
-        stated_px, corrected_px = (np.abs(_residuals(world, matches)) * matches.noise_px for world in (stated, corrected))
+        # Along the line: the change of depth, by the depth that a pixel of disparity makes (`gain`).
+        z, gain = _depths(stated, matches)
+        corrected_z, _ = _depths(corrected, matches)
         with np.errstate(invalid="ignore", divide="ignore"):
             along = np.minimum(np.nan_to_num(np.abs(z - corrected_z) / gain, nan=FARTHEST_PX), FARTHEST_PX)
+        # Across it: the change of the distance.
+        stated_px = np.abs(_residuals(stated, matches)) * matches.noise_px
+        corrected_px = np.abs(_residuals(corrected, matches)) * matches.noise_px
         motions.append(np.hypot(along, stated_px - corrected_px))
-    return float(np.median(np.concatenate(motions))) if motions else 0.0
+    if not motions:
+        return 0.0
+    return float(np.median(np.concatenate(motions)))
 
 
 def _is_noticeable(stated: _World, other: _World, evidence: list[_Matches]) -> bool:
     """Do points move, or their rays turn, noticeably between two worlds?"""
-    views = [(stated[name], other[name], x) for m in evidence for name, x in zip(m.pair, (m.x1, m.x2), strict=True)]
-    turns = [ray_angles(*(rays(v.camera, v.undistort(x)).T for v in both)) * both[0].camera.K[0, 0] for *both, x in views]
-    width = np.mean([view.camera.width for view, *_ in views])
-    motion, turn = _moved_px(stated, other, evidence) / width, np.median(np.concatenate(turns)) / width
+    turns = []
+    widths = []
+    for matches in evidence:
+        for name, x in zip(matches.pair, (matches.x1, matches.x2), strict=True):
+            before = stated[name]
+            after = other[name]
+            rays_before = rays(before.camera, before.undistort(x)).T
+            rays_after = rays(after.camera, after.undistort(x)).T
+            turns.append(ray_angles(rays_before, rays_after) * before.camera.K[0, 0])
+            widths.append(before.camera.width)
+    width = np.mean(widths)
+    motion = _moved_px(stated, other, evidence) / width
+    turn = np.median(np.concatenate(turns)) / width
     return bool(motion >= LEAST_MOTION_ALONG or turn >= LEAST_TURN)
 
 
@@ -416,7 +510,9 @@ def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1)
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
     affected = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
-    amount, damping, scale = np.zeros(cause.unknowns), 1e-3, np.inf
+    amount = np.zeros(cause.unknowns)
+    damping = 1e-3
+    scale = np.inf
 
     def residuals(amounts: Float64s) -> Float64s:
         world = cause.change(stated, amounts)
@@ -424,18 +520,27 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
 
     current = residuals(amount)
     for _ in range(STEPS if cause.unknowns else 0):
+        # The scale only tightens, down to that of the loss: a wide one reaches the minimum from afar.
         scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(current)))))
         cost = float(np.log1p((current / scale) ** 2).sum())
+
+        # Normal equations with numerical derivatives (n, unknowns) and Cauchy weights.
         deltas = 1e-6 * np.eye(cause.unknowns)
         J = np.stack([(residuals(amount + delta) - current) / 1e-6 for delta in deltas], axis=1)
         weight = 1 / (1 + (current / scale) ** 2)
-        normal, gradient = J.T @ (J * weight[:, None]), J.T @ (weight * current)
+        normal = J.T @ (J * weight[:, None])
+        gradient = J.T @ (weight * current)
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -gradient)
+
         trial = residuals(amount + step)
         if float(np.log1p((trial / scale) ** 2).sum()) < cost:
-            amount, current, damping = amount + step, trial, max(damping / 10, 1e-9)
-        elif (damping := damping * 10) > 1e3:
-            break
+            amount = amount + step
+            current = trial
+            damping = max(damping / 10, 1e-9)
+        else:
+            damping *= 10
+            if damping > 1e3:
+                break
         if np.linalg.norm(step) < 1e-7 and scale <= OUTLIER:
             break
     world = cause.change(stated, amount)
@@ -461,7 +566,8 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
         yield _simple(name, 1, partial(_stretched, axis=axis))
     for name in CONVENTIONS:
         yield _simple(name, 0, partial(_read_otherwise, convention=name))
-    baseline, zero = _baseline(stated, evidence), np.zeros(3)
+    baseline = _baseline(stated, evidence)
+    zero = np.zeros(3)
     names = sorted({name for m in evidence for name in m.pair})
     for name in names:
         if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
@@ -491,7 +597,7 @@ def _baseline(world: _World, evidence: list[_Matches]) -> float:
 
 
 def _simple(name: str, unknowns: int, change: _Change, *cameras: str) -> _Cause:
-    """A cause that changes each of some cameras, or of all if none are given, in the same way."""
+    """A cause that changes each of some cameras, or of all if none are named, in the same way."""
     return _Cause(name, lambda w, a: {**w, **{n: change(w[n], a) for n in cameras or w}}, unknowns, cameras)
 
 
@@ -499,10 +605,10 @@ def _with_pose(cause: _Cause, name: str, baseline: float) -> _Cause:
     """A cause, together with a pose of its own for a camera; its six unknowns come first."""
 
     def change(world: _World, amount: Float64s) -> _World:
-        changed = cause.change(world, amount[6:])
-        return {**changed, name: _posed(changed[name], amount[:6], baseline)}
+        changed = cause.change(world, amount[_POSE_UNKNOWNS:])
+        return {**changed, name: _posed(changed[name], amount[:_POSE_UNKNOWNS], baseline)}
 
-    return replace(cause, change=change, unknowns=6 + cause.unknowns)
+    return replace(cause, change=change, unknowns=_POSE_UNKNOWNS + cause.unknowns)
 
 
 def _exchange(name: str, sources: Mapping[str, str], cameras: tuple[str, ...] = ()) -> _Cause:
@@ -556,9 +662,13 @@ def _read_otherwise(view: _CheckedView, _: Float64s, convention: str) -> _Checke
 
 def _mixed(view: _CheckedView, other: _CheckedView, keys: tuple[str, ...]) -> _CheckedView:
     """The camera with parts of another one."""
-    old, new = view.camera, replace(view.camera, **{key: getattr(other.camera, key) for key in keys})
+    old = view.camera
+    new = replace(old, **{key: getattr(other.camera, key) for key in keys})
     swapped = "distortion" in keys and old.lens is None and other.camera.lens is None
-    return replace(view, camera=new, stated=old if swapped and (_has_distortion(old) or _has_distortion(other.camera)) else None)
+    # Then the frames were made with the wrong distortion, which has to be undone.
+    if swapped and (_has_distortion(old) or _has_distortion(other.camera)):
+        return replace(view, camera=new, stated=old)
+    return replace(view, camera=new, stated=None)
 
 
 def _stretched(view: _CheckedView, log: Float64s, axis: int) -> _CheckedView:
@@ -570,9 +680,11 @@ def _stretched(view: _CheckedView, log: Float64s, axis: int) -> _CheckedView:
 
 def _flipped(camera: Camera, axes: int) -> Camera:
     """The camera for frames that are mirrored (one of the `axes` flipped), or upside down (both flipped)."""
-    K, size = camera.K.copy(), (camera.width, camera.height)
+    K = camera.K.copy()
+    size = (camera.width, camera.height)
     for k in range(axes):
-        K[k, k], K[k, 2] = -K[k, k], size[k] - 1 - K[k, 2]
+        K[k, k] = -K[k, k]
+        K[k, 2] = size[k] - 1 - K[k, 2]
     return replace(camera, K=K)
 
 

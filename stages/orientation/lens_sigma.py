@@ -31,8 +31,10 @@ CENTRE_SIGMA = 0.005
 """Prior standard deviation of a principal point around the image centre, as a share of the width."""
 LOSS = 2.385
 """Scale of the Cauchy loss in standard deviations of the noise: 95 % efficient (Holland & Welsch 1977)."""
-_POSE, _LENS = 6, 5
-"""Number of parameters of a pose (rotation, centre), and of a lens (cx, cy, f, k1, k2)."""
+_POSE = 6
+"""Number of parameters of a pose: rotation, centre."""
+_LENS = 5
+"""Number of parameters of a lens: cx, cy, f, k1, k2."""
 _REGULARISATION = 1e-10
 """Relative regularisation that fixes the gauge: position, rotation and scale of the world are undetermined."""
 _BATCH_POINTS = 256
@@ -99,12 +101,15 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
     sigmas = {}
     for view in [view for view in equations.columns if view in model.lenses]:
-        columns, camera = equations.columns[view][_POSE:], model.cameras[view]
+        columns = equations.columns[view][_POSE:]
+        camera = model.cameras[view]
         shrinkage = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
+        # The larger of noise and parts of the scene counts, and the principal point in addition.
         noise_px, parts_px, centre_px = (_border_px(camera, covariance[np.ix_(columns, columns)]) for covariance in covariances)
+        border_px = np.hypot(max(noise_px, shrinkage * parts_px), shrinkage * centre_px)
         noise_f, parts_f, centre_f = (float(np.sqrt(covariance[columns[2], columns[2]])) for covariance in covariances)
         focal_sigma = np.hypot(max(noise_f, parts_f), centre_f) / camera.K[0, 0]
-        sigmas[view] = LensSigma(float(focal_sigma), float(np.hypot(max(noise_px, shrinkage * parts_px), shrinkage * centre_px)))
+        sigmas[view] = LensSigma(focal=float(focal_sigma), border_px=float(border_px))
     return sigmas
 
 
@@ -123,8 +128,12 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
         prior = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
         gain = prior @ np.linalg.inv(prior + measured)
         prior_share = np.eye(2) - gain
-        noise_covariance, prior_part = gain @ by_noise[np.ix_(centre, centre)] @ gain.T, prior_share @ prior @ prior_share.T
-        corrections[view] = _PrincipalPoint(gain @ step[centre], jackknife[:, centre] @ gain.T, noise_covariance, prior_part)
+        corrections[view] = _PrincipalPoint(
+            step=gain @ step[centre],
+            jackknife=jackknife[:, centre] @ gain.T,
+            by_noise=gain @ by_noise[np.ix_(centre, centre)] @ gain.T,
+            prior_covariance=prior_share @ prior @ prior_share.T,
+        )
     return corrections
 
 
@@ -163,38 +172,60 @@ def _derivatives(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
 
 def _equations(model: Model) -> _Equations:
     """The normal equations of an adjusted model with its points eliminated."""
+    # 1. Columns (views, 11) of each view's pose and lens: poses first, then lenses; views of one lens share its columns.
     rows = np.flatnonzero(model.use)
     views = np.unique(model.tracks.view[rows]).tolist()
-    lens_ids = [model.lenses.get(view, -1 - view) for view in views]
+    lens_ids = [model.lenses.get(view, -1 - view) for view in views]  # a lens that was not solved has a number of its own
     lens_index = {lens_id: k for k, lens_id in enumerate(dict.fromkeys(lens_ids))}
-    lens_start, size = _POSE * len(views), _POSE * len(views) + _LENS * len(lens_index)
-    lens_columns = lens_start + _LENS * np.array([lens_index[lens_id] for lens_id in lens_ids])[:, None] + np.arange(_LENS)
-    columns = np.column_stack([_POSE * np.arange(len(views))[:, None] + np.arange(_POSE), lens_columns])
+    lens_start = _POSE * len(views)
+    size = lens_start + _LENS * len(lens_index)
+    lens_of_view = np.array([lens_index[lens_id] for lens_id in lens_ids])
+    pose_columns = _POSE * np.arange(len(views))[:, None] + np.arange(_POSE)
+    lens_columns = lens_start + _LENS * lens_of_view[:, None] + np.arange(_LENS)
+    columns = np.column_stack([pose_columns, lens_columns])
+
+    # 2. Observations, linearised and weighted by the Cauchy loss in units of the noise.
     view_of = np.searchsorted(views, model.tracks.view[rows])
     points, point_of = np.unique(model.tracks.track[rows], return_inverse=True)
     noise = max(float(np.median(model.error_px()[rows])) / RAYLEIGH, 1e-6)
     J, P, r = _linearised(model, views, rows, view_of)
     error = model.error_px()[rows] / noise
     weight = np.sqrt(1 / (1 + error**2 / LOSS**2)) / noise
-    J, P, r = J * weight[:, None, None], P * weight[:, None, None], r * weight[:, None]
-    V = np.zeros((len(points), 3, 3))  # normal matrix of each point alone
+    J = J * weight[:, None, None]
+    P = P * weight[:, None, None]
+    r = r * weight[:, None]
+
+    # 3. The points' own normal matrices V (points, 3, 3), and the residuals that remain with the points at their optimum.
+    V = np.zeros((len(points), 3, 3))
     np.add.at(V, point_of, np.einsum("nki,nkj->nij", P, P))
     inverse = np.linalg.inv(V + _REGULARISATION * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3))
-    part = _parts(model.X[points])
     gradient = np.zeros((len(points), 3))
     np.add.at(gradient, point_of, np.einsum("nki,nk->ni", P, r))
-    remaining = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])  # with the points at their optimum
+    remaining = r - np.einsum("nki,nij,nj->nk", P, inverse[point_of], gradient[point_of])
+
+    # 4. The equations of each part of the scene.
+    part = _parts(model.X[points])
     pulls = np.zeros((1 << _HALVINGS, size))
     np.add.at(pulls, (part[point_of][:, None], columns[view_of]), np.einsum("nki,nk->ni", J, remaining))
     H = np.zeros((1 << _HALVINGS, size, size))
     for k in range(len(H)):
-        own, members = part[point_of] == k, np.flatnonzero(part == k)
+        own = part[point_of] == k
+        members = np.flatnonzero(part == k)
         H[k] = _reduced(J[own], P[own], inverse[members], columns[view_of[own]], np.searchsorted(members, point_of[own]), size)
-    pose_columns = [columns[k, :_POSE] for k, view in enumerate(views) if view not in model.held]
-    first_views = {lens_id: k for k, lens_id in reversed([*enumerate(lens_ids)]) if views[k] in model.lenses}
-    solved = np.concatenate([*pose_columns, *(columns[k, _POSE + 2 :] for k in first_views.values())])
-    centres = {views[k]: columns[k, _POSE : _POSE + 2] for k in first_views.values()}
+    solved, centres = _solved_columns(model, views, lens_ids, columns)
     return _Equations(H, pulls, {view: columns[k] for k, view in enumerate(views)}, solved, centres)
+
+
+def _solved_columns(model: Model, views: list[int], lens_ids: list[int], columns: Int64s) -> tuple[Int64s, dict[int, Int64s]]:
+    """Columns of the poses that are not held and of the solved lenses without principal points; and those of the latter."""
+    poses = [columns[k, :_POSE] for k, view in enumerate(views) if view not in model.held]
+    first_views = {}  # by lens
+    for k, lens_id in reversed(list(enumerate(lens_ids))):
+        if views[k] in model.lenses:
+            first_views[lens_id] = k
+    lenses = [columns[k, _POSE + 2 :] for k in first_views.values()]
+    centres = {views[k]: columns[k, _POSE : _POSE + 2] for k in first_views.values()}
+    return np.concatenate([*poses, *lenses]), centres
 
 
 def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> tuple[Float64s, Float64s, Float64s]:
@@ -213,7 +244,7 @@ def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> 
 
 
 def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
-    """Solve some of the parameters, given by their columns: their covariance (n, n); their changes (parts, n) without each part,
+    """Solve some of the parameters, named by their columns: their covariance (n, n); their changes (parts, n) without each part,
     scaled so that squares add up to variances; and the step (n,) that they would still take."""
     H, pulls = equations.H[:, columns[:, None], columns], equations.pulls[:, columns]
     total = H.sum(axis=0)

@@ -26,8 +26,12 @@ from ..types import Camera, Float64s, Geometry, Int32s, Int64s, Pair, PoseCheck
 
 MIN_SHARED = 20
 """Fewest matches of a pair, or points of three cameras, that count as evidence."""
-PAIR_PX, TRIPLET_PX = 1.0, 4.0
-"""Larger median errors contradict exact poses: of a pair, and of three cameras, where errors of points and matches add up."""
+PAIR_PX = 1.0
+"""Larger median errors of a pair contradict exact poses, pixels."""
+TRIPLET_PX = 4.0
+"""Larger median errors of three cameras contradict exact poses, pixels: there, errors of points and matches add up."""
+CLOSED_PX = 1.5
+"""Largest distance between the two ends of a chain of matches around three cameras that closes, pixels."""
 DEVIATIONS = 3.0
 """Tolerance of poses with standard deviations, as a multiple of these."""
 TURNED_DEG = 0.5
@@ -99,9 +103,16 @@ class PoseConstraints:
     def of(cls, names: tuple[str, ...], geometries: Mapping[Pair, Geometry]) -> PoseConstraints:
         """Constraints among the named cameras; pairs have only the matches that third cameras confirm, if these are enough."""
         known_names = set(names)
-        pairs = {p: g for p, g in geometries.items() if set(p) <= known_names and g.good_probability >= LEAST_PROBABILITY}
-        pairs = {p: g for p, g in pairs.items() if len(g.x1) >= MIN_SHARED}
-        triplets = [triplet for triangle in triangles_of(pairs) if (triplet := _triplet(triangle, pairs)) is not None]
+        pairs = {}
+        for pair, geometry in geometries.items():
+            is_probable = geometry.good_probability >= LEAST_PROBABILITY
+            if set(pair) <= known_names and is_probable and len(geometry.x1) >= MIN_SHARED:
+                pairs[pair] = geometry
+        triplets = []
+        for triangle in triangles_of(pairs):
+            triplet = _triplet(triangle, pairs)
+            if triplet is not None:
+                triplets.append(triplet)
         return cls(consistent_matches(pairs, MIN_SHARED), tuple(triplets))
 
     def without(self, names: set[str]) -> PoseConstraints:
@@ -111,10 +122,15 @@ class PoseConstraints:
 
     def evidence(self, cameras: Mapping[str, Camera], camera: str = "") -> list[Evidence]:
         """Evidence from all constraints, or from those that involve `camera`."""
-        pairs = {pair: geometry for pair, geometry in self.pairs.items() if not camera or camera in pair}
-        collected = [Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX) for pair, geometry in pairs.items()]
+        collected = []
+        for pair, geometry in self.pairs.items():
+            if not camera or camera in pair:
+                collected.append(Evidence(pair, epipolar_error_px(cameras, pair, geometry), PAIR_PX))
         for triplet in self.triplets:
-            if (not camera or camera in triplet.cameras) and (error := triplet_error_px(cameras, triplet)) is not None:
+            if camera and camera not in triplet.cameras:
+                continue
+            error = triplet_error_px(cameras, triplet)
+            if error is not None:
                 collected.append(Evidence(triplet.cameras, error, TRIPLET_PX))
         return collected
 
@@ -133,7 +149,9 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
     X = X[np.isfinite(X[:, 0])]
     variance = 0.0
     for name in pair:
-        camera, sigma = cameras[name], sigmas.get(name, Sigma())
+        camera = cameras[name]
+        sigma = sigmas.get(name, Sigma())
+        # Without points, the baseline stands for their distance.
         distance = float(np.linalg.norm(cameras[pair[0]].C - cameras[pair[1]].C))
         if len(X):
             distance = float(np.median(np.linalg.norm(X - camera.C, axis=1)))
@@ -159,16 +177,21 @@ def check_cameras(
 
 
 def verified(views: Set[str], evidence: list[Evidence]) -> bool:
-    """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?  All views of a camera count,
-    since they move together.
+    """Do as many of a camera's pairs, and of its triplets, agree with the poses as contradict them?
+
+    All views of a camera count, since they move together.
 
     Look-alikes contradict poses that are right.  Two pairs do not agree with a wrong pose; a single pair may, if the camera was
     moved along its epipolar lines.
     """
     own_evidence = [e for e in evidence if not views.isdisjoint(e.cameras)]
-    agree, contradict = (sum(e.contradicts == outcome for e in own_evidence if len(e.cameras) == 2) for outcome in (False, True))
-    votes = sum(-1 if e.contradicts else 1 for e in own_evidence if len(e.cameras) == 3)
-    return (agree > contradict or agree == contradict >= 2) and votes >= 0
+    pairs = [e for e in own_evidence if len(e.cameras) == 2]
+    triplets = [e for e in own_evidence if len(e.cameras) == 3]
+    contradicting_pairs = sum(e.contradicts for e in pairs)
+    agreeing_pairs = len(pairs) - contradicting_pairs
+    contradicting_triplets = sum(e.contradicts for e in triplets)
+    pairs_agree = agreeing_pairs > contradicting_pairs or agreeing_pairs == contradicting_pairs >= 2
+    return pairs_agree and 2 * contradicting_triplets <= len(triplets)
 
 
 def confirmed(geometry: Geometry) -> Geometry:
@@ -197,9 +220,14 @@ def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float |
         x, X = seen_points(cameras, triplet, third)
         if len(x) >= MIN_SHARED:
             rays1, rays2 = (X - cameras[name].C for name in triplet.cameras if name != third)
-            error_px = float(np.median(np.linalg.norm(project(cameras[third], X)[0] - x, axis=1)))
-            found.append((float(np.median(ray_angles(rays1, rays2))), error_px))
-    return max(found, key=lambda angle_and_error: angle_and_error[0])[1] if found else None
+            angle = float(np.median(ray_angles(rays1, rays2)))
+            projected, _ = project(cameras[third], X)
+            error_px = float(np.median(np.linalg.norm(projected - x, axis=1)))
+            found.append((angle, error_px))
+    if not found:
+        return None
+    _, error_at_widest = max(found, key=lambda angle_and_error: angle_and_error[0])
+    return error_at_widest
 
 
 def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> tuple[Float64s, Float64s]:
@@ -214,11 +242,16 @@ def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> t
 def _triplet(names: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Triplet | None:
     """Points whose matches close around the triangle: a wrong match passes only with consistent errors in both other pairs."""
     a, b, c = names
-    ab, bc, ac = pairs[a, b], pairs[b, c], pairs[a, c]
-    ab_rows, bc_rows = _common_rows(ab.i2, ab.x2, bc.i1, bc.x1)  # rows of a--b and of b--c that share a keypoint of b
-    ac_rows, kept_rows = _common_rows(ac.i1, ac.x1, None if ab.i1 is None else ab.i1[ab_rows], ab.x1[ab_rows])
-    ab_rows, bc_rows = ab_rows[kept_rows], bc_rows[kept_rows]
-    closed = np.linalg.norm(ac.x2[ac_rows] - bc.x2[bc_rows], axis=1) < 1.5
+    ab = pairs[a, b]
+    bc = pairs[b, c]
+    ac = pairs[a, c]
+    # Rows of a--b and of b--c that share a keypoint of b; then those of them that share one of a with a--c.
+    ab_rows, bc_rows = _common_rows(ab.i2, ab.x2, bc.i1, bc.x1)
+    a_keypoints = None if ab.i1 is None else ab.i1[ab_rows]
+    ac_rows, kept_rows = _common_rows(ac.i1, ac.x1, a_keypoints, ab.x1[ab_rows])
+    ab_rows = ab_rows[kept_rows]
+    bc_rows = bc_rows[kept_rows]
+    closed = np.linalg.norm(ac.x2[ac_rows] - bc.x2[bc_rows], axis=1) < CLOSED_PX
     if closed.sum() < MIN_SHARED:
         return None
     return Triplet(names, (ab.x1[ab_rows[closed]], ab.x2[ab_rows[closed]], bc.x2[bc_rows[closed]]))

@@ -86,13 +86,14 @@ def adjust_within_priors(
 
         # 2. Has any left the range that its standard deviations allow?
         excesses = {name: _excess(adjusted[name], cameras[name], sigma) for name, sigma in adjustable.items()}
-        worst = max(excesses, key=excesses.__getitem__, default=None)
-        if worst is None or not excesses[worst] > 1:
+        strayed = [name for name, excess in excesses.items() if excess > 1]
+        if not strayed:
             if problem is None:
                 return stated_only
             return stated_only.with_images(adjusted, *problem.covariance_of(solved, names))
 
         # 3. The worst one stays as stated, and no longer influences the others; all its views move together.
+        worst = max(strayed, key=excesses.__getitem__)
         dropped = {name for name in names if name == worst or same_camera(cameras[name], cameras[worst])}
         adjustable = {name: sigma for name, sigma in adjustable.items() if name not in dropped}
         pairs = {pair: geometry for pair, geometry in pairs.items() if not dropped & {*pair}}
