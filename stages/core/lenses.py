@@ -38,6 +38,7 @@ def lens_pixels(lens: Lens, rays: Float64s) -> Float64s:
     """Pixels (n, 2) of the capture on which rays (n, 3) in camera axes fall; nan where the lens does not see them."""
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
+    # models end within the field of view: nan and infinity there are no fault
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     with np.errstate(all="ignore"):
         x = _projection(lens).project(_coefficients(lens), unit)
@@ -50,10 +51,13 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
     target = (x - lens.K[:2, 2]) @ np.linalg.inv(lens.K[:2, :2]).T
-    if lens.model == "equirectangular":
+    if lens.model == "equirectangular":  # the only model whose inverse is written down, and whose rays reach the poles
         longitude, latitude = target.T
         return np.column_stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)])
-    coefficients, project, limit = _coefficients(lens), _projection(lens).project, usable_angle(lens)
+    coefficients = _coefficients(lens)
+    project = _projection(lens).project
+    limit = usable_angle(lens)
+    # models end within the range of the search: nan and infinity there are no fault
     with np.errstate(all="ignore"):
         angle_xy = _start(coefficients, project, limit, target)
         for _ in range(_MOST_STEPS):
@@ -62,8 +66,10 @@ def lens_rays(lens: Lens, x: Float64s) -> Float64s:
             if not (np.abs(step) > _LEAST_STEP).any():
                 break
         rays = _ray(angle_xy)
+        # a pixel counts only if its ray comes back to it, and lies where the model is still one to one
         error = np.linalg.norm(project(coefficients, rays) - target, axis=1)
-        rays[~((error < _MOST_ERROR) & (off_axis(rays) <= limit + _LEAST_STEP))] = np.nan
+        is_solved = (error < _MOST_ERROR) & (off_axis(rays) <= limit + _LEAST_STEP)
+        rays[~is_solved] = np.nan
     return rays
 
 
@@ -71,14 +77,17 @@ def usable_angle(lens: Lens) -> float:
     """Angle off the axis, in radians, up to which image radii grow with the angle: beyond it the model folds over or ends."""
     if lens.model == "equirectangular":
         return np.pi
-    model, coefficients = _projection(lens), _coefficients(lens)
-    angles = np.arange(_PROFILE_STEP, model.farthest, _PROFILE_STEP)
+    projection = _projection(lens)
+    coefficients = _coefficients(lens)
+    angles = np.arange(_PROFILE_STEP, projection.farthest, _PROFILE_STEP)
     limit = float(angles[-1])
     with np.errstate(all="ignore"):
-        for radius in _radii(coefficients, model.project, angles):
+        for radius in _radii(coefficients, projection.project, angles):
+            # written so that a radius that is nan does not grow either
             not_growing = ~(np.diff(radius, prepend=0.0) > _PROFILE_STEP * 1e-3)
             if not_growing.any():
-                limit = min(limit, float(angles[max(int(not_growing.argmax()) - 1, 0)]))
+                last_growing = max(int(not_growing.argmax()) - 1, 0)
+                limit = min(limit, float(angles[last_growing]))
     return limit
 
 
@@ -92,14 +101,22 @@ def sides_deg(lens: Lens, width: int, height: int) -> Float64s:
     if lens.K is None:
         raise ValueError("a lens without intrinsics has no rays")
     x, y = lens.K[:2, 2]
+    # pixel centres are at integers: the image ends half a pixel beyond them
     edges = np.array([[-0.5, y], [width - 0.5, y], [x, -0.5], [x, height - 0.5]])
-    return np.asarray(np.rad2deg(np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=usable_angle(lens))), dtype=np.float64)
+    angles = np.nan_to_num(off_axis(lens_rays(lens, edges)), nan=usable_angle(lens))
+    return np.asarray(np.rad2deg(angles), dtype=np.float64)
 
 
 _PROFILE_STEP = np.deg2rad(0.25)
 """Step of the radial profile, radians."""
-_MOST_STEPS, _LEAST_STEP, _MOST_ERROR = 30, 1e-13, 1e-10
-"""Newton's method: most steps, step size (radians) at which it ends, and largest final error in normalised coordinates."""
+_MOST_STEPS = 30
+"""Most steps of Newton's method."""
+_LEAST_STEP = 1e-13
+"""Newton's method ends when no step is larger than this, radians."""
+_LARGEST_STEP = 0.2
+"""Steps are cut to this, radians: near the end of a model the slope says little about the next place."""
+_MOST_ERROR = 1e-10
+"""Largest error of a solution, in normalised coordinates: far below a thousandth of a pixel."""
 _DIFFERENCE = 1e-6
 """Angle to each side, in radians, of the central differences that give the derivatives."""
 
@@ -117,8 +134,12 @@ def _coefficients(lens: Lens) -> Float64s:
 
 def _radii(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angles: Float64s) -> list[Float64s]:
     """Normalised image radii (n,) of rays at angles (n,) off the axis, in each of eight directions."""
-    directions = (np.array([np.cos(azimuth), np.sin(azimuth)]) for azimuth in np.arange(8) * (np.pi / 4))
-    return [np.linalg.norm(project(coefficients, _ray(angles[:, None] * direction)), axis=1) for direction in directions]
+    radii = []
+    for azimuth in np.arange(8) * (np.pi / 4):
+        direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+        points = project(coefficients, _ray(angles[:, None] * direction))
+        radii.append(np.linalg.norm(points, axis=1))
+    return radii
 
 
 def _ray(angle_xy: Float64s) -> Float64s:
@@ -133,24 +154,34 @@ def _start(coefficients: Float64s, project: Callable[[Float64s, Float64s], Float
     angles = np.linspace(0, limit, 400)
     profile = np.mean(_radii(coefficients, project, angles), axis=0)
     radius = np.linalg.norm(target, axis=1)
-    return np.asarray(target * (np.interp(radius, profile, angles) / np.maximum(radius, 1e-300))[:, None], dtype=np.float64)
+    angle_per_radius = np.interp(radius, profile, angles) / np.maximum(radius, 1e-300)
+    return np.asarray(target * angle_per_radius[:, None], dtype=np.float64)
 
 
 def _newton_step(
     coefficients: Float64s, project: Callable[[Float64s, Float64s], Float64s], angle_xy: Float64s, target: Float64s
 ) -> Float64s:
     """(n, 2) steps of Newton's method, to be subtracted; 0 where the model ends."""
+    # derivatives by the two angles
     slopes = []
     for h in np.eye(2) * _DIFFERENCE:
-        slopes.append((project(coefficients, _ray(angle_xy + h)) - project(coefficients, _ray(angle_xy - h))) / (2 * _DIFFERENCE))
-    (a, c), (b, d) = slopes[0].T, slopes[1].T
+        after = project(coefficients, _ray(angle_xy + h))
+        before = project(coefficients, _ray(angle_xy - h))
+        slopes.append((after - before) / (2 * _DIFFERENCE))
+    # [[a, b], [c, d]] step = (e, f) by Cramer's rule
+    a, c = slopes[0].T
+    b, d = slopes[1].T
     e, f = (project(coefficients, _ray(angle_xy)) - target).T
     step = np.column_stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)[:, None]
     step[~np.isfinite(step).all(axis=1)] = 0.0
-    return np.asarray(np.clip(step, -0.2, 0.2), dtype=np.float64)
+    return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP), dtype=np.float64)
+
+
+# The projections: coefficients (padded with zeros) and unit rays (n, 3) to normalised coordinates (n, 2)
 
 
 def _pinhole(_: Float64s, rays: Float64s) -> Float64s:
+    """x / z, y / z; nan behind the camera."""
     x = rays[:, :2] / rays[:, 2:]
     x[rays[:, 2] <= 0] = np.nan
     return x
@@ -165,7 +196,11 @@ def _brown(c: Float64s, rays: Float64s) -> Float64s:
     v = y * radial + c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + c[10] * r2 + c[11] * r2 * r2
     if not c[12:14].any():
         return np.column_stack([u, v])
-    sx, cx, sy, cy = np.sin(c[12]), np.cos(c[12]), np.sin(c[13]), np.cos(c[13])
+    # the tilted sensor: turned about x, then about y, and projected back along the axis
+    sx = np.sin(c[12])
+    cx = np.cos(c[12])
+    sy = np.sin(c[13])
+    cy = np.cos(c[13])
     turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
     tilt = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
     tilted = np.column_stack([u, v, np.ones_like(u)]) @ tilt.T
@@ -175,13 +210,16 @@ def _brown(c: Float64s, rays: Float64s) -> Float64s:
 def _ideal_fisheye(rays: Float64s) -> Float64s:
     """(n, 2) angle off the axis times direction in the image: the projection of an ideal fisheye."""
     r = np.hypot(rays[:, 0], rays[:, 1])
-    return np.asarray(rays[:, :2] * np.where(r > 0, off_axis(rays) / r, 1.0)[:, None], dtype=np.float64)
+    stretch = np.where(r > 0, off_axis(rays) / r, 1.0)  # angle / sin(angle), 1 on the axis
+    return np.asarray(rays[:, :2] * stretch[:, None], dtype=np.float64)
 
 
 def _fisheye(c: Float64s, rays: Float64s) -> Float64s:
+    """k1..k4: theta (1 + k1 theta^2 + k2 theta^4 + ...)."""
     x = _ideal_fisheye(rays)
     t2 = (x * x).sum(axis=1)
-    return np.asarray(x * (1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3]))))[:, None], dtype=np.float64)
+    radial = 1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * c[3])))
+    return np.asarray(x * radial[:, None], dtype=np.float64)
 
 
 def _thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
@@ -201,7 +239,8 @@ def _rad_tan_thin_prism_fisheye(c: Float64s, rays: Float64s) -> Float64s:
     radial = 1 + t2 * (c[0] + t2 * (c[1] + t2 * (c[2] + t2 * (c[3] + t2 * (c[4] + t2 * c[5])))))
     x = x * radial[:, None]
     r2 = (x * x).sum(axis=1)[:, None]
-    return np.asarray(x + 2 * (x @ c[6:8])[:, None] * x + r2 * c[6:8] + r2 * c[[8, 10]] + r2 * r2 * c[[9, 11]], dtype=np.float64)
+    tangential = 2 * (x @ c[6:8])[:, None] * x
+    return np.asarray(x + tangential + r2 * c[6:8] + r2 * c[[8, 10]] + r2 * r2 * c[[9, 11]], dtype=np.float64)
 
 
 def _division(c: Float64s, rays: Float64s) -> Float64s:
@@ -212,18 +251,28 @@ def _division(c: Float64s, rays: Float64s) -> Float64s:
 
 
 def _fov(c: Float64s, rays: Float64s) -> Float64s:
+    """Coefficient: omega, with r_d = atan(2 r_u tan(omega / 2)) / omega; at omega = 0 this is a pinhole."""
     r = np.hypot(rays[:, 0], rays[:, 1])
-    distorted = np.arctan2(2 * r * np.tan(c[0] / 2), rays[:, 2]) / c[0] if c[0] else r / rays[:, 2]
-    slope = 2 * np.tan(c[0] / 2) / c[0] if c[0] else 1.0
-    return np.asarray(rays[:, :2] * np.where(r > 1e-12, distorted / r, slope)[:, None], dtype=np.float64)
+    if c[0]:
+        distorted = np.arctan2(2 * r * np.tan(c[0] / 2), rays[:, 2]) / c[0]
+        slope = 2 * np.tan(c[0] / 2) / c[0]  # on the axis
+    else:
+        distorted = r / rays[:, 2]
+        slope = 1.0
+    stretch = np.where(r > 1e-12, distorted / r, slope)
+    return np.asarray(rays[:, :2] * stretch[:, None], dtype=np.float64)
 
 
 def _eucm(c: Float64s, rays: Float64s) -> Float64s:
     """Coefficients: alpha, beta."""
-    z, distance = rays[:, 2], np.sqrt(c[1] * (rays[:, :2] ** 2).sum(axis=1) + rays[:, 2] ** 2)
-    divisor = c[0] * distance + (1 - c[0]) * z
-    w = c[0] / (1 - c[0]) if c[0] <= 0.5 else (1 - c[0]) / c[0]
-    return np.asarray(rays[:, :2] / np.where((divisor > 0) & (z > -w * distance), divisor, np.nan)[:, None], dtype=np.float64)
+    alpha, beta = c[:2]
+    z = rays[:, 2]
+    distance = np.sqrt(beta * (rays[:, :2] ** 2).sum(axis=1) + z**2)
+    divisor = alpha * distance + (1 - alpha) * z
+    # rays beyond the cone of w are not seen, or share their pixel with others (Khomutenko 2016)
+    w = alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
+    is_seen = (divisor > 0) & (z > -w * distance)
+    return np.asarray(rays[:, :2] / np.where(is_seen, divisor, np.nan)[:, None], dtype=np.float64)
 
 
 def _omni(c: Float64s, rays: Float64s) -> Float64s:
@@ -239,14 +288,18 @@ def _double_sphere(c: Float64s, rays: Float64s) -> Float64s:
     z = xi + rays[:, 2]
     d2 = np.sqrt((rays[:, :2] ** 2).sum(axis=1) + z * z)
     divisor = alpha * d2 + (1 - alpha) * z
+    # the cone of rays that are seen (Usenko 2018)
     w1 = alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
     w2 = (w1 + xi) / np.sqrt(2 * w1 * xi + xi * xi + 1)
-    return np.asarray(rays[:, :2] / np.where((divisor > 0) & (rays[:, 2] > -w2), divisor, np.nan)[:, None], dtype=np.float64)
+    is_seen = (divisor > 0) & (rays[:, 2] > -w2)
+    return np.asarray(rays[:, :2] / np.where(is_seen, divisor, np.nan)[:, None], dtype=np.float64)
 
 
 def _equirectangular(_: Float64s, rays: Float64s) -> Float64s:
-    """Longitude and latitude."""
-    return np.column_stack([np.arctan2(rays[:, 0], rays[:, 2]), np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))])
+    """Longitude and latitude, radians; y points down."""
+    longitude = np.arctan2(rays[:, 0], rays[:, 2])
+    latitude = np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
+    return np.column_stack([longitude, latitude])
 
 
 PROJECTIONS: Mapping[str, Projection] = {
