@@ -23,13 +23,14 @@ def by_cell(cells: Int64s, count: int) -> tuple[Int64s, Int64s]:
 @kernel
 def _fill_order(cells: Int64s, next_slots: Int64s, order: Int64s) -> None:
     for k in range(len(cells)):
+        # items of a cell keep their order: each takes the cell's next slot
         order[next_slots[cells[k]]] = k
         next_slots[cells[k]] += 1
 
 
 def rank_within(groups: Int64s, worth: Float64s | Int64s) -> Int64s:
     """(n,) rank of each item within its group by ascending worth, counted from 0."""
-    order = np.lexsort((worth, groups))
+    order = np.lexsort((worth, groups))  # by group, then by worth; a rank is the distance from the group's first item
     rank = np.empty(len(groups), np.int64)
     rank[order] = np.arange(len(groups)) - np.searchsorted(groups[order], groups[order])
     return rank
@@ -39,10 +40,17 @@ def sorting_network(count: int) -> Int64s:
     """(m, 2) pairs of indices to compare, and to swap if the first value is larger, that sort `count` values (Batcher's merge
     exchange, Knuth 5.2.2 M).  The pairs do not depend on the values."""
     pairs = []
-    for p in (2**i for i in range((count - 1).bit_length())):
-        for k in (p >> i for i in range(p.bit_length())):
+    p = 1  # length of the sorted runs that are merged to runs of twice the length
+    while p < count:
+        k = p  # distance of the two values of a pair
+        while k >= 1:
             for j in range(k % p, count - k, 2 * k):
-                pairs += [(i, i + k) for i in range(j, min(j + k, count - k)) if i // (2 * p) == (i + k) // (2 * p)]
+                for i in range(j, min(j + k, count - k)):
+                    # both in the same run of twice the length
+                    if i // (2 * p) == (i + k) // (2 * p):
+                        pairs.append((i, i + k))
+            k //= 2
+        p *= 2
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
@@ -50,5 +58,15 @@ def percentiles(values: Float64s, *shares: float) -> list[float]:
     """The percentiles `shares` (0 to 100) of the values (n,), interpolated linearly as by numpy's default."""
     last = len(values) - 1
     places = [share / 100 * last for share in shares]
-    ordered = np.partition(values, sorted({min(int(place) + k, last) for place in places for k in (0, 1)}))
-    return [float((1 - place % 1) * ordered[int(place)] + place % 1 * ordered[min(int(place) + 1, last)]) for place in places]
+    # only the values on both sides of each place have to be where sorting would put them
+    needed = set()
+    for place in places:
+        needed |= {int(place), min(int(place) + 1, last)}
+    ordered = np.partition(values, sorted(needed))
+    result = []
+    for place in places:
+        before = ordered[int(place)]
+        after = ordered[min(int(place) + 1, last)]
+        fraction = place % 1
+        result.append(float((1 - fraction) * before + fraction * after))
+    return result
