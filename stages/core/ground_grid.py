@@ -23,10 +23,21 @@ def ground_axes(cameras: Iterable[Camera], plane: Float64s | None = None) -> Flo
     views = list(cameras)
     if all(-camera.R[1, 2] > 0.5 for camera in views):
         return np.eye(3)
-    up = -np.sum([camera.R[1] for camera in views], axis=0) if plane is None else plane[:3]
-    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else -views[0].R[1]
-    east = views[0].R[0] - (views[0].R[0] @ up) * up
-    east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-6 else np.linalg.svd(up[None])[2][1]
+    # a camera's y axis points down in the image
+    if plane is not None:
+        up = plane[:3]
+    else:
+        up = -np.sum([camera.R[1] for camera in views], axis=0)
+    if np.linalg.norm(up) > 1e-6:
+        up = up / np.linalg.norm(up)
+    else:  # cameras upside down beside upright ones
+        up = -views[0].R[1]
+    first_x = views[0].R[0]
+    east = first_x - (first_x @ up) * up
+    if np.linalg.norm(east) > 1e-6:
+        east = east / np.linalg.norm(east)
+    else:  # the camera's x axis is plumb: any level direction will do
+        east = np.linalg.svd(up[None])[2][1]
     return np.stack([east, np.cross(up, east), up])
 
 
@@ -37,9 +48,14 @@ def grid_over(points: Float64s, axes: Float64s, cell: float) -> GroundGrid:
     """
     flat = points @ axes[:2].T
     low, high = extent(flat, 1)
-    (first_column, first_row), (last_column, last_row) = np.floor(low / cell), np.floor(high / cell)
-    columns, rows = int(last_column - first_column) + 1, int(last_row - first_row) + 1
-    return GroundGrid(axes, float(first_column * cell), float((last_row + 1) * cell), float(cell), rows, columns)
+    # cells counted from the world's origin, so that grids of different nights have their corners at the same places
+    first_column, first_row = np.floor(low / cell)
+    last_column, last_row = np.floor(high / cell)
+    left = float(first_column * cell)
+    top = float((last_row + 1) * cell)
+    rows = int(last_row - first_row) + 1
+    columns = int(last_column - first_column) + 1
+    return GroundGrid(axes, left, top, float(cell), rows, columns)
 
 
 def extent(xy: Float64s, percent: float) -> tuple[Float64s, Float64s]:
@@ -52,18 +68,25 @@ def extent(xy: Float64s, percent: float) -> tuple[Float64s, Float64s]:
 def cells_of(grid: GroundGrid, points: Float64s) -> Int64s:
     """(n,) index of the cell (row-major) over which each of the points (n, 3) lies; -1 outside the grid."""
     x, y, z = np.asarray(points, np.float64).T
-    east, north = (x * a + y * b + z * c for a, b, c in grid.axes[:2])  # without BLAS, whose sums differ between machines
-    column, row = np.floor((east - grid.left) / grid.cell), np.floor((grid.top - north) / grid.cell)
+    # without BLAS, whose sums differ between machines
+    (a, b, c), (d, e, f) = grid.axes[:2]
+    east = x * a + y * b + z * c
+    north = x * d + y * e + z * f
+    # rows are counted from the top, as in images
+    column = np.floor((east - grid.left) / grid.cell)
+    row = np.floor((grid.top - north) / grid.cell)
     inside = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
     return np.where(inside, row * grid.columns + column, -1).astype(np.int64)
 
 
 def inside_polygon(corners: Sequence[Sequence[float]], x: Float64s, y: Float64s) -> Bools:
     """Which of the points x, y (arrays of the same shape) lie inside the polygon with these corners (x, y)?"""
+    # a point is inside if a ray from it toward +x crosses the border an odd number of times
     inside = np.zeros(np.shape(x), bool)
     for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]]):
         with np.errstate(divide="ignore", invalid="ignore"):  # horizontal edges are never crossed
-            inside ^= ((y1 > y) != (y2 > y)) & (x < (x2 - x1) * (y - y1) / np.float64(y2 - y1) + x1)
+            crossing = (x2 - x1) * (y - y1) / np.float64(y2 - y1) + x1
+            inside ^= ((y1 > y) != (y2 > y)) & (x < crossing)
     return inside
 
 
@@ -93,16 +116,22 @@ def quantile_by_cell(cells: Int64s, values: Float64s, count: int, quantile: floa
     """
     inside = cells >= 0
     cells, values = cells[inside], values[inside]
+    # by cell, and within each by value, since sorting by cell is stable
     ascending = np.argsort(values)
     order, starts = by_cell(cells[ascending], count)
     counts = np.diff(starts)
     occupied = np.flatnonzero(counts)
+    rank = np.rint(quantile * (counts[occupied] - 1)).astype(np.int64)
     filled = np.full(count, np.nan)
-    filled[occupied] = values[ascending[order[starts[occupied] + np.rint(quantile * (counts[occupied] - 1)).astype(np.int64)]]]
+    filled[occupied] = values[ascending[order[starts[occupied] + rank]]]
     return filled
 
 
 def preferred_above(value: float) -> float:
     """The smallest of 1, 2 or 5 times a power of ten that is not below a positive value."""
     decade = 10.0 ** float(np.floor(np.log10(value)))
-    return float(decade * min(step for step in (1.0, 2.0, 5.0, 10.0) if step >= value / decade * (1 - 1e-9)))
+    least_step = value / decade * (1 - 1e-9)  # 2.0000000001 rounds up to 2, not to 5
+    for step in (1.0, 2.0, 5.0):
+        if step >= least_step:
+            return float(decade * step)
+    return float(decade * 10.0)

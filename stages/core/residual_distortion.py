@@ -23,7 +23,8 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     """(n, 2) undistorted pixels of pixels (n, 2) of the frame; none lies beyond the radius at which the model folds over."""
     if not any(camera.radial):
         return x
-    centre, f = camera.K[:2, 2], camera.K[[0, 1], [0, 1]]
+    centre = camera.K[:2, 2]
+    f = camera.K[[0, 1], [0, 1]]
     distorted = (x - centre) / f
     radius = np.linalg.norm(distorted, axis=1)
     undistorted = radius.copy()
@@ -33,8 +34,10 @@ def without_distortion(camera: Camera, x: Float64s) -> Float64s:
     for _ in range(20):
         square = undistorted**2
         slope = np.maximum(1 + 3 * k1 * square + 5 * k2 * square**2, 0.2)
-        undistorted = np.clip(undistorted - (undistorted * (1 + k1 * square + k2 * square**2) - radius) / slope, 0, fold)
-    return np.asarray(centre + f * distorted * (undistorted / np.maximum(radius, 1e-12))[:, None], dtype=np.float64)
+        error = undistorted * (1 + k1 * square + k2 * square**2) - radius
+        undistorted = np.clip(undistorted - error / slope, 0, fold)
+    factor = undistorted / np.maximum(radius, 1e-12)
+    return np.asarray(centre + f * distorted * factor[:, None], dtype=np.float64)
 
 
 def _fold(k1: float, k2: float) -> float:
@@ -46,7 +49,9 @@ def _fold(k1: float, k2: float) -> float:
 
 def residual_px(camera: Camera) -> float:
     """Largest displacement of a corner of the frame by the solved distortion, pixels."""
-    corners = np.array([[x, y] for x in (0.0, camera.width - 1.0) for y in (0.0, camera.height - 1.0)])
+    right = camera.width - 1.0
+    bottom = camera.height - 1.0
+    corners = np.array([[0.0, 0.0], [0.0, bottom], [right, 0.0], [right, bottom]])
     return float(np.linalg.norm(without_distortion(camera, corners) - corners, axis=1).max())
 
 
@@ -60,19 +65,27 @@ def residual_distortion(camera: Camera | None) -> Float64s | None:
 
 def distorted_pixels(distortion: Float64s, x: Float64s | Float32s, y: Float64s | Float32s) -> tuple[Float32s, Float32s]:
     """Pixels in the distorted frame of pixels x, y of the undistorted one; far outside where the model folds over."""
-    fx, fy, cx, cy, k1, k2 = (np.float64(number) for number in distortion)
-    a, b = (x - cx) / fx, (y - cy) / fy
+    # numbers of 64 bits: with Python's own, pixels of 32 bits would stay of 32 bits
+    fx, fy, cx, cy, k1, k2 = np.asarray(distortion, dtype=np.float64)
+    a = (x - cx) / fx
+    b = (y - cy) / fy
     square = a * a + b * b
+    # slope of the distorted radius: beyond the fold, points would come back into the image
     unfolded = 1 + square * (3 * k1 + 5 * k2 * square) > 0
     factor = np.where(unfolded, 1 + square * (k1 + k2 * square), np.nan)
-    clipped = (np.nan_to_num(pixels, nan=-1e4).clip(-1e4, 1e6) for pixels in (cx + fx * a * factor, cy + fy * b * factor))
-    u, v = (pixels.astype(np.float32) for pixels in clipped)
-    return u, v
+    return _remap_pixels(cx + fx * a * factor), _remap_pixels(cy + fy * b * factor)
+
+
+def _remap_pixels(pixels: Float64s) -> Float32s:
+    """Pixels as OpenCV's remap takes them: float32, without nan, and not so large that they overflow its integers."""
+    return np.asarray(np.nan_to_num(pixels, nan=-1e4).clip(-1e4, 1e6), dtype=np.float32)
 
 
 def undistorted_points(camera: Camera | None, x: Float64s) -> Float64s:
     """(n, 2) undistorted pixels of pixels of a frame as it is; unchanged if the frame counts as undistorted."""
-    return x if camera is None or residual_distortion(camera) is None else without_distortion(camera, x)
+    if camera is None or residual_distortion(camera) is None:
+        return x
+    return without_distortion(camera, x)
 
 
 def undistorted_frame(frame: Frame, camera: Camera | None) -> Frame:
@@ -85,11 +98,13 @@ def undistorted_frame(frame: Frame, camera: Camera | None) -> Frame:
     maps = distorted_pixels(distortion, x, y)
     image = cv2.remap(frame.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     mask = cv2.remap(frame.mask.astype(np.float32), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    # a pixel may be used if all four that it was interpolated from may
     return replace(frame, image=np.asarray(image, np.uint8), mask=np.asarray(mask > 0.9999, np.bool_))
 
 
 def undistorted_frames(frames: Mapping[str, Frame], cameras: Mapping[str, Camera]) -> Mapping[str, Frame]:
     """Undistorted frames by camera, each made on access."""
-    if not any(name in frames and residual_distortion(camera) is not None for name, camera in cameras.items()):
+    distorted = [name for name, camera in cameras.items() if name in frames and residual_distortion(camera) is not None]
+    if not distorted:
         return frames
     return OnDemand(frames, lambda name: undistorted_frame(frames[name], cameras.get(name)))
