@@ -17,7 +17,8 @@ def field_ratio(view1: View, view2: View) -> float:
     """Area that view 1 sees over the area that view 2 sees, at equal distance; 1 if the intrinsics of either are unknown."""
     if view1.K is None or view2.K is None:
         return 1.0
-    area1, area2 = (view.width * view.height / float(K[0, 0] * K[1, 1]) for view, K in ((view1, view1.K), (view2, view2.K)))
+    area1 = view1.width * view1.height / float(view1.K[0, 0] * view1.K[1, 1])
+    area2 = view2.width * view2.height / float(view2.K[0, 0] * view2.K[1, 1])
     return area1 / area2
 
 
@@ -30,13 +31,25 @@ def camera_of(view: View, K: Float64s, R: Float64s, C: Float64s) -> Camera:
     K, R : (3, 3) intrinsics in pixels, and rotation from world to camera axes.
     C : (3,) centre in the world.
     """
-    captured = view.captured_width or view.width, view.captured_height or view.height
-    return Camera(K, R, C, view.width, view.height, 0, (0.0, 0.0), *captured, view.distortion, view.lens)
+    return Camera(
+        K,
+        R,
+        C,
+        view.width,
+        view.height,
+        captured_width=view.captured_width or view.width,
+        captured_height=view.captured_height or view.height,
+        distortion=view.distortion,
+        lens=view.lens,
+    )
 
 
 def same_camera(camera1: View | Camera, camera2: View | Camera) -> bool:
     """Are both of them views of the same physical camera, with the same position and the same captures?"""
-    return bool(camera1.lens and camera2.lens and camera1.lens.camera and camera1.lens.camera == camera2.lens.camera)
+    if camera1.lens is None or camera2.lens is None:
+        return False
+    # a lens whose camera is "" belongs to no other view
+    return bool(camera1.lens.camera) and camera1.lens.camera == camera2.lens.camera
 
 
 def camera_id(name: str, view: View | Camera) -> str:
@@ -52,12 +65,13 @@ def relative_pose(camera1: Camera, camera2: Camera) -> tuple[Float64s, Float64s]
 def transfer(camera: Camera, other: Camera) -> tuple[Float64s, Float64s]:
     """M (3, 3), b (3,): pixel p (homogeneous) of `camera` at depth z projects into `other` at z M p + b; third entry: depth."""
     R, t = relative_pose(camera, other)
+    # x_other = R (z K^-1 p) + t, in pixels
     return other.K @ R @ np.linalg.inv(camera.K), other.K @ t
 
 
 def project(camera: Camera, X: Float64s) -> tuple[Float64s, Float64s]:
     """Pixels (n, 2) and depth (n,) of world points (n, 3); pixels of points behind the camera are meaningless."""
-    x = (X - camera.C) @ camera.R.T
+    x = (X - camera.C) @ camera.R.T  # camera axes: the third coordinate is the depth
     p = x @ camera.K.T
     with np.errstate(divide="ignore", invalid="ignore"):
         return p[:, :2] / p[:, 2:], x[:, 2]
@@ -85,9 +99,11 @@ def convergence_deg(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s
     """
     if len(x1) == 0:
         return float("nan")
-    a, b = rays(camera1, x1), rays(camera2, x2)
+    a = rays(camera1, x1)
+    b = rays(camera2, x2)
     cosine = np.sum(a * b, axis=0) / np.sqrt(np.sum(a * a, axis=0) * np.sum(b * b, axis=0))
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+    angles = np.arccos(np.clip(cosine, -1, 1))  # rounding can carry a cosine beyond 1
+    return float(np.degrees(np.median(angles)))
 
 
 def ray_angles(a: Float64s, b: Float64s) -> Float64s:

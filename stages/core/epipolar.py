@@ -50,8 +50,8 @@ def epipoles(F: Float64s) -> tuple[Float64s, Float64s]:
 
 def sampson_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
     """Signed first-order distance in pixels of each correspondence to the variety of F (Hartley & Zisserman, eq. 11.9)."""
-    a1, b1 = F[:2, :2].T @ x2.T + F[2:, :2].T
-    a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]
+    a1, b1 = F[:2, :2].T @ x2.T + F[2:, :2].T  # normals of the lines F^T x2 in image 1
+    a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]  # the lines F x1 in image 2
     algebraic = a2 * x2[:, 0] + b2 * x2[:, 1] + c2
     return np.asarray(algebraic / np.sqrt(a1 * a1 + b1 * b1 + a2 * a2 + b2 * b2 + 1e-30), dtype=np.float64)
 
@@ -60,8 +60,10 @@ def symmetric_epipolar_distance(F: Float64s, x1: Float64s, x2: Float64s) -> Floa
     """Mean of the distances (pixels) of x2 to F x1 and of x1 to F^T x2."""
     a1, b1 = F[:2, :2].T @ x2.T + F[2:, :2].T
     a2, b2, c2 = F[:, :2] @ x1.T + F[:, 2:]
+    # both distances share x2^T F x1, and differ by the length of the line's normal
     algebraic = np.abs(a2 * x2[:, 0] + b2 * x2[:, 1] + c2)
-    return np.asarray(0.5 * algebraic * (1 / np.sqrt(a1 * a1 + b1 * b1) + 1 / np.sqrt(a2 * a2 + b2 * b2)), dtype=np.float64)
+    inverse_lengths = 1 / np.sqrt(a1 * a1 + b1 * b1) + 1 / np.sqrt(a2 * a2 + b2 * b2)
+    return np.asarray(0.5 * algebraic * inverse_lengths, dtype=np.float64)
 
 
 def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float64s) -> tuple[Float64s, Float64s]:
@@ -74,14 +76,20 @@ def triangulate_depth(camera1: Camera, camera2: Camera, x1: Float64s, x2: Float6
     camera1, camera2 : in the same world.
     x1, x2 : (n, 2) pixels of the matches, without distortion.
     """
+    # a point at depth z projects into camera 2 at z A + b (homogeneous)
     A = (camera2.K @ camera2.R @ rays(camera1, x1)).T
     b = camera2.K @ camera2.R @ (camera1.C - camera2.C)
-    u, v = x2[:, 0], x2[:, 1]
-    a1, b1 = A[:, 0] - u * A[:, 2], b[0] - u * b[2]
-    a2, b2 = A[:, 1] - v * A[:, 2], b[1] - v * b[2]
+    u = x2[:, 0]
+    v = x2[:, 1]
+    # its pixel is (u, v) where z a1 + b1 = 0 and z a2 + b2 = 0: one unknown, two equations
+    a1 = A[:, 0] - u * A[:, 2]
+    b1 = b[0] - u * b[2]
+    a2 = A[:, 1] - v * A[:, 2]
+    b2 = b[1] - v * b[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         z = -(a1 * b1 + a2 * b2) / (a1 * a1 + a2 * a2)
-        w = z * A[:, 2] + b[2]
+        w = z * A[:, 2] + b[2]  # depth in camera 2
+        # derivative of the pixel by z (quotient rule)
         du = (A[:, 0] * w - (z * A[:, 0] + b[0]) * A[:, 2]) / w**2
         dv = (A[:, 1] * w - (z * A[:, 1] + b[1]) * A[:, 2]) / w**2
         dz_dpixel = 1.0 / np.sqrt(du * du + dv * dv)

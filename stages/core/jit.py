@@ -47,7 +47,12 @@ def helper(function: Function) -> Function:
 
 
 def _compile(function: Function, **extra_options: bool) -> Function:
-    options: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **extra_options}  # never called from C
+    options: Any = {
+        "nogil": True,
+        "error_model": "numpy",  # x / 0 is infinity or nan, as in numpy, not an exception
+        "no_cfunc_wrapper": True,  # never called from C
+        **extra_options,
+    }
     try:
         return cast(Function, _compile_once(numba.njit(cache=True, **options)(function)))
     except RuntimeError:  # no writable cache: a read-only installation and no home folder, as under cron
@@ -85,7 +90,9 @@ def _without_gc() -> Iterator[None]:
 @contextmanager
 def _locked(dispatcher: Any) -> Iterator[None]:
     """Hold the kernel's lock file, so that no other process compiles it; without locking where files cannot be locked."""
-    folder, function = dispatcher.stats.cache_path, dispatcher.py_func
+    folder = dispatcher.stats.cache_path
+    function = dispatcher.py_func
+    # functions defined within others have `<locals>` in their names, which not every file system takes
     name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>", "")
     try:
         file = (Path(folder) / name).open("wb") if folder and fcntl else None

@@ -11,6 +11,7 @@ from ..types import Float64s
 
 State = TypeVar("State")
 Equations = tuple[float, Float64s, Float64s]
+"""Cost of a state, normal matrix (k, k) and gradient (k,) there."""
 
 
 def levenberg_marquardt(
@@ -43,16 +44,21 @@ def levenberg_marquardt(
     """
     cost, normal, gradient = equations(state)
     for _ in range(steps):
+        # Marquardt's damping by the diagonal: the step does not depend on the units of the unknowns
         damped = normal + damping * np.diag(np.diag(normal) + floor * np.trace(normal))
-        new_state = moved(state, np.asarray(np.linalg.solve(damped, -gradient), dtype=np.float64))
+        step = np.asarray(np.linalg.solve(damped, -gradient), dtype=np.float64)
+        new_state = moved(state, step)
         new_cost, new_normal, new_gradient = equations(new_state)
-        if not new_cost < cost:
+        if not new_cost < cost:  # nan too: the step is taken back, and a shorter one tried
             damping *= 10
             if damping > most_damping:
                 break
             continue
         decrease = cost - new_cost
-        state, cost, normal, gradient = new_state, new_cost, new_normal, new_gradient
+        state = new_state
+        cost = new_cost
+        normal = new_normal
+        gradient = new_gradient
         damping = max(damping / 10, least_damping)
         if decrease < tolerance + relative_tolerance * cost:
             break

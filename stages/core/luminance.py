@@ -20,19 +20,24 @@ def luminance(image: Uint8s) -> Float32s:
 
 def with_gain(image: Uint8s, gains: Float64s) -> Uint8s:
     """(h, w, 3) uint8 image with its channels multiplied by (3,) gains."""
+    # + 0.5: rounded, not cut
     table = np.clip(np.arange(256)[:, None] * gains[None, :] + 0.5, 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, table.reshape(256, 1, 3)), dtype=np.uint8)
 
 
 def block_means(values: Float32s, side: int) -> Float32s:
     """(h // side, w // side) means over square blocks of values (h, w); incomplete blocks at the borders are left out."""
-    rows, columns = values.shape[0] // side, values.shape[1] // side
+    rows = values.shape[0] // side
+    columns = values.shape[1] // side
+    # (rows, side, columns, side): axes 1 and 3 run within a block
     blocks = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
     return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
 
 
 _BLOCK = 16
+"""Side of the blocks of which noise is measured, pixels.  Larger ones vary less, but fewer are free of texture."""
 _QUIETEST_PERCENT = 10
+"""Percentile of the blocks' responses that counts as noise: blocks above it may have texture."""
 
 
 def noise_level(image: Float32s, valid: Bools) -> float:
@@ -40,9 +45,10 @@ def noise_level(image: Float32s, valid: Bools) -> float:
 
     The filter does not respond to intensities that vary linearly.  References: Immerkaer, CVIU 1996.
     """
+    # difference of two Laplacians; for noise of standard deviation s the response's is 6 s, and its mean size sqrt(2 / pi) 6 s
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     response = np.abs(cv2.filter2D(image, -1, kernel))
-    valid_blocks = block_means(valid.astype(np.float32), _BLOCK) > 0.999
+    valid_blocks = block_means(valid.astype(np.float32), _BLOCK) > 0.999  # all pixels, up to rounding
     if not valid_blocks.any():
         return 0.0
     mean = block_means(np.asarray(response, dtype=np.float32), _BLOCK)[valid_blocks]

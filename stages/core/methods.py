@@ -20,12 +20,13 @@ def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
     Raises ValueError, with the known names, if no function is found.
     """
     module_name, _, function_name = table.get(name, name).partition(":")
-    try:
-        function = getattr(importlib.import_module(module_name), function_name, None) if function_name else None
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise  # the module exists, but fails to import another one
-        function = None
+    function = None
+    if function_name:
+        try:
+            function = getattr(importlib.import_module(module_name), function_name, None)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+                raise  # the module exists, but fails to import another one
     if not callable(function):
         choices = ", ".join(table)
         raise ValueError(f"there is no method {name!r}: choose {choices}, or a function of your own as package.module:function")
@@ -47,11 +48,19 @@ def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], opti
     """
     function = method(table, name)
     arguments = inspect.signature(function).parameters
+
+    # inputs: those that the method names, and needs
     for argument, value in inputs.items():
         if value is None and argument in arguments and arguments[argument].default is inspect.Parameter.empty:
             raise ValueError(f"method {name!r} needs {argument}: give {argument}=")
+    wanted_inputs = {argument: inputs[argument] for argument in arguments if argument in inputs}
+
+    # options: any, if the method takes **options
     parameters = [argument for argument in arguments if argument not in inputs]
     takes_any = any(argument.kind is inspect.Parameter.VAR_KEYWORD for argument in arguments.values())
-    if not takes_any and (unknown := [option for option in options if option not in parameters]):
-        raise TypeError(f"method {name!r} does not read {unknown[0]!r}; its parameters: {', '.join(parameters) or 'none'}")
-    return partial(function, **{argument: inputs[argument] for argument in arguments if argument in inputs}, **options)
+    if not takes_any:
+        for option in options:
+            if option not in parameters:
+                known = ", ".join(parameters) or "none"
+                raise TypeError(f"method {name!r} does not read {option!r}; its parameters: {known}")
+    return partial(function, **wanted_inputs, **options)

@@ -13,7 +13,8 @@ class OnDemand(Mapping[Key, Value]):
     """A mapping that calls `make` at every access to a key and keeps no value."""
 
     def __init__(self, keys: Collection[Key], make: Callable[[Key], Value]) -> None:
-        self._keys, self._make = keys, make
+        self._keys = keys
+        self._make = make
 
     def __getitem__(self, key: Key) -> Value:
         return self._make(key)

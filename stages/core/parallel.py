@@ -23,12 +23,23 @@ _MOST_THREADS = 4
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `work(item)` for each item, in order; at most as many results as there are threads are computed ahead."""
-    stated = os.environ.get(THREADS, "")
-    threads = min(max(int(stated), 1), _MOST_THREADS) if stated.isdecimal() else 1
+    threads = _thread_count()
     if threads == 1:
         yield from map(work, items)
         return
     remaining = iter(items)
     parallel = Parallel(n_jobs=threads, prefer="threads", return_as="generator")
-    while chunk := list(islice(remaining, threads)):
+    # in chunks: joblib alone would compute all results ahead of a slow reader, and keep them
+    while True:
+        chunk = list(islice(remaining, threads))
+        if not chunk:
+            return
         yield from parallel(delayed(work)(item) for item in chunk)
+
+
+def _thread_count() -> int:
+    """Number of threads that the environment states, within limits; one if it states none, or no number."""
+    stated = os.environ.get(THREADS, "")
+    if not stated.isdecimal():
+        return 1
+    return min(max(int(stated), 1), _MOST_THREADS)

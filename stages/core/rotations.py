@@ -17,7 +17,7 @@ def skew(t: Float64s) -> Float64s:
 def rotation_matrix(v: Float64s) -> Float64s:
     """(3, 3) rotation by |v| radians about v (Rodrigues' formula)."""
     angle = float(np.linalg.norm(v))
-    if angle < 1e-12:
+    if angle < 1e-12:  # no axis: the first two terms of the exponential series
         return np.eye(3) + skew(v)
     k = skew(v / angle)
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k, dtype=np.float64)
@@ -26,11 +26,13 @@ def rotation_matrix(v: Float64s) -> Float64s:
 def rotation_vector(R: Float64s) -> Float64s:
     """(..., 3) axis times angle (radians) of rotations (..., 3, 3)."""
     v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    # the antisymmetric part is sin(angle) [axis]x, and the trace 1 + 2 cos(angle)
     sine = np.linalg.norm(v, axis=-1, keepdims=True)
     cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1)[..., None]
     angle = np.arctan2(sine, cosine)
     # near half a turn the axis comes from the symmetric part, cos I + (1 - cos) a a^T
     S = 0.5 * (R + np.swapaxes(R, -1, -2))
+    # k: the axis' largest component, whose column is the most accurate; its sign follows from the antisymmetric part
     k = np.argmax(np.diagonal(S, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(S - cosine[..., None] * np.eye(3), k[..., None, None], axis=-1)[..., 0]
     column /= np.linalg.norm(column, axis=-1, keepdims=True)
@@ -49,6 +51,7 @@ def angle_between_deg(A: Float64s, B: Float64s) -> float:
 
 def nearest_rotation(M: Float64s) -> Float64s:
     """(3, 3) rotation R that maximises trace(R^T M); with M = sum of target source^T, R best rotates source onto target."""
+    # the orthogonal Procrustes problem; the determinant rules out a reflection (Kabsch 1976)
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, dtype=np.float64)
 
@@ -82,9 +85,12 @@ def with_rotation(
     weight : (n,) float64, weights that sum to one.
     scale : the scale if it is known; None: it is estimated, which needs at least two distinct points.
     """
-    a_mean, b_mean = weight @ source, weight @ target
-    a, b = source - a_mean, target - b_mean
+    a_mean = weight @ source
+    b_mean = weight @ target
+    a = source - a_mean
+    b = target - b_mean
     if scale is None:
+        # least squares: scale = sum w b^T R a / sum w a^T a
         scale = float(np.einsum("n,ni,ni->", weight, b, a @ R.T) / np.einsum("n,ni,ni->", weight, a, a))
         if scale <= 0:
             return None
