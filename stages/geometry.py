@@ -87,38 +87,255 @@ def estimate_geometry(
     options = _Options(threshold_px, use_intrinsics, seed)
     if matches.i1 is not None:
         matches = replace(matches, searched=searched_view_pairs(matches, left, right))
-    raw_matches, model = matches, _solve(matches, _keypoint_sizes(matches, left, right), options)
-    night = None if model is None else _one_night_matches(matches, model, left, right)
-    if guided and model is not None and (night is not None or matches.i1 is not None):
+    raw_matches = matches
+    raw_count = len(raw_matches.x1)
+
+    # 1. Estimate robustly, match again around the estimate, and refine.
+    model = _solve(matches, _keypoint_sizes(matches, left, right), options)
+    if model is None:
+        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": raw_count, "inliers": 0, "needed": min_inliers})
+    night = _one_night_matches(matches, model, left, right)
+    if guided and (night is not None or matches.i1 is not None):
         matches, model = _guided_round(matches, model, night, left, right, options)
     model, noise, lenses = _refined(matches, model, _keypoint_sizes(matches, left, right), options)
-    count = 0 if model is None else int(model.inliers.sum())
-    if model is None or count < min_inliers:
-        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": len(raw_matches.x1), "inliers": count, "needed": min_inliers})
+    count = int(model.inliers.sum())
+    if count < min_inliers:
+        return Rejected(Reason.TOO_FEW_INLIERS, {"matches": raw_count, "inliers": count, "needed": min_inliers})
+
+    # 2. Do the inliers determine it?
     inliers = at_rows(matches, model.inliers)
     support = _support(inliers, model, options)
-    figures = {"matches": float(len(raw_matches.x1)), **support.figures()}
+    figures = {"matches": float(raw_count), **support.figures()}
     degenerate = _degenerate(support, min_area, min_inliers)
     if degenerate is not None:
         return Rejected(degenerate, figures | {"needed_share": min_area})
 
-    contradicted = model.R is None and use_intrinsics and _has_known_lens(matches.view1) and _has_known_lens(matches.view2)
+    # 3. Is it right?  That F was preferred to E although both lenses are known is evidence against it.
+    has_known_lenses = _has_known_lens(matches.view1) and _has_known_lens(matches.view2)
+    is_contradicted = use_intrinsics and has_known_lenses and model.R is None
     evidence = _evidence(raw_matches, inliers, night, model, left, right, options)
-    score = pair_score(evidence, contradicted)
+    score = pair_score(evidence, is_contradicted)
     figures |= {"score": score, "distinct_cells": float(evidence.distinct_cells), "agreement": evidence.agreement}
     if score < min_score and not informs_about_site(evidence):
         return Rejected(Reason.WRONG_MATCHES, figures | {"cells": GRID_COLUMNS * GRID_ROWS})
-    warnings = _warnings(support, contradicted, few_inliers, small_area, min_inliers)
+
     accepted = _accepted(inliers, model, support, evidence, score)
     if lenses is not None:
         accepted = replace(accepted, lens1=lenses.K1, lens2=lenses.K2, implausibility=lenses.implausibility)
-    return replace(accepted, matches=len(raw_matches.x1), noise_px=noise[model.inliers].astype(np.float32), warnings=warnings)
+    return replace(
+        accepted,
+        matches=raw_count,
+        noise_px=noise[model.inliers].astype(np.float32),
+        warnings=_warnings(support, is_contradicted, few_inliers, small_area, min_inliers),
+    )
+
+
+def _keypoint_sizes(matches: Matches, left: Features, right: Features) -> Float64s:
+    """(n,) size of the coarser keypoint of each match, pixels; 1 without keypoints: only ratios of sizes matter."""
+    if matches.i1 is None or matches.i2 is None:
+        return np.ones(len(matches.x1))
+    size1 = _frame_sizes(left.frames[matches.i1])
+    size2 = _frame_sizes(right.frames[matches.i2])
+    return np.asarray(np.maximum(size1, size2), dtype=np.float64)
+
+
+def _frame_sizes(frames: Float64s) -> Float64s:
+    """(n,) size of keypoints in pixels of the frame, from their local frames (n, 2, 2)."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(frames))), dtype=np.float64)
+
+
+def _solve(matches: Matches, size: Float64s, options: _Options) -> TwoView | None:
+    """F or, where both K are known and `ESSENTIAL_SUPPORT` prefers it, E.  size: (n,) sizes of the matched keypoints."""
+    x1 = matches.x1
+    x2 = matches.x2
+    if not (options.use_intrinsics and _has_known_lens(matches.view1) and _has_known_lens(matches.view2)):
+        bare = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
+        if bare is None:
+            return None
+        return _with_plausible_lenses(matches, bare, size, options)
+    calibrated = estimate_essential(x1, x2, matches.view1, matches.view2, options.threshold_px, options.seed)
+    if calibrated is not None and calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * len(x1):
+        return calibrated  # even an F with all matches as inliers would not be preferred
+    uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
+    if uncalibrated is None:
+        return calibrated
+    if calibrated is None or calibrated.inliers.sum() < ESSENTIAL_SUPPORT * uncalibrated.inliers.sum():
+        return uncalibrated
+    return calibrated
+
+
+def _has_known_lens(view: View) -> bool:
+    """Whether the intrinsics are known, not only guessed from a field of view or EXIF."""
+    return view.K is not None and view.focal_known
+
+
+def _with_plausible_lenses(matches: Matches, bare: TwoView, size: Float64s, options: _Options) -> TwoView:
+    """F with plausible lenses for both cameras; the bare F if there are none, or if too many inliers would be lost."""
+    x1 = matches.x1
+    x2 = matches.x2
+    view1, view2 = _lenses_to_use(matches, options.use_intrinsics)
+    # The matches of the refinement are the inliers of the bare F or of an F with one centred lens, which bends less.
+    candidates = [bare]
+    one_lens = estimate_with_one_lens(x1, x2, view1, view2, options.threshold_px, options.seed)
+    if one_lens is not None:
+        candidates.append(one_lens)
+    any_inlier = np.any([candidate.inliers for candidate in candidates], axis=0)
+    # Noise is proportional to keypoint size: its factor, from the inliers of the bare F, holds for the other matches too.
+    bare_noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
+    noise = size[any_inlier] * (bare_noise[0] / size[bare.inliers][0])
+    initial = [candidate.F for candidate in candidates]
+    plausible = refine_with_plausible_intrinsics(initial, x1[any_inlier], x2[any_inlier], noise, view1, view2)
+    if plausible is None or plausible.implausibility > MOST_IMPLAUSIBLE:
+        return bare
+    inliers = supporters(plausible.F, x1, x2, options.threshold_px)
+    if inliers.sum() < max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8):
+        return bare
+    return TwoView(plausible.F, inliers)
+
+
+def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
+    """The two views, without their intrinsics if these are not to be used."""
+    if use_intrinsics:
+        return matches.view1, matches.view2
+    return View(matches.view1.width, matches.view1.height), View(matches.view2.width, matches.view2.height)
+
+
+def _one_night_matches(matches: Matches, model: TwoView, left: Features, right: Features) -> Matches | None:
+    """One night's keypoint matches around a geometry pooled over many nights; None if it is not pooled."""
+    if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
+        return None
+    return matches_of_night(at_rows(matches, model.inliers), model.F, left, right)
+
+
+def _guided_round(
+    matches: Matches, model: TwoView, night: Matches | None, left: Features, right: Features, options: _Options
+) -> tuple[Matches, TwoView]:
+    """Matches and their geometry after the guided round, or those passed in if they have more inliers.
+
+    night: one night's keypoint matches around the geometry, if the matches are pooled over nights.
+    """
+    if night is not None:
+        guided = with_night(matches, night)
+    else:
+        guided = match_guided(at_rows(matches, model.inliers), left, right, model.F)
+    guided = replace(guided, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
+    inliers = supporters(model.F, guided.x1, guided.x2, options.threshold_px)
+    if inliers.sum() < model.inliers.sum():
+        return matches, model
+    return guided, replace(model, inliers=inliers)
+
+
+def _refined(matches: Matches, model: TwoView, size: Float64s, options: _Options) -> tuple[TwoView, Float64s, TwoCameras | None]:
+    """The geometry refined with weights by keypoint size; the noise (n,) of each match in pixels; and the lenses that go with
+    F where they are not known.  The geometry stays as it is if the refined one has no pose, or fewer than 8 inliers."""
+    view1 = matches.view1
+    view2 = matches.view2
+    x1 = matches.x1[model.inliers]
+    x2 = matches.x2[model.inliers]
+    inlier_size = size[model.inliers]
+    intrinsics: tuple[Float64s, Float64s] | None = None  # for an E; a bare F is refined without them
+    if model.R is not None and view1.K is not None and view2.K is not None:
+        intrinsics = (view1.K, view2.K)
+    lenses: TwoCameras | None = None
+    pose: tuple[Float64s, Float64s] | None = None
+
+    F, noise = refine_two_view(model.F, x1, x2, inlier_size, intrinsics)
+    if intrinsics is not None:
+        pose = pose_of_fundamental(F, x1, x2, view1, view2)
+    elif not (_has_known_lens(view1) and _has_known_lens(view2)):
+        views = _lenses_to_use(matches, options.use_intrinsics)
+        lenses = refine_with_plausible_intrinsics([F], x1, x2, noise, *views)
+        if lenses is not None and lenses.implausibility <= MOST_IMPLAUSIBLE:
+            F = lenses.F
+
+    all_noise = size * (noise[0] / inlier_size[0])  # proportional to size
+    inliers = supporters(F, matches.x1, matches.x2, options.threshold_px)
+    if inliers.sum() < 8:
+        return model, all_noise, lenses
+    if intrinsics is None:
+        return TwoView(F, inliers), all_noise, lenses
+    if pose is None:
+        return model, all_noise, lenses
+    return TwoView(F, inliers, *pose), all_noise, lenses
+
+
+@dataclass(frozen=True)
+class _Support:
+    """How well the inliers determine a geometry."""
+
+    inliers: int
+    area: float
+    """Share of the image that their convex hull covers, in the image with less."""
+    plane_share: float
+    """Share of them that one homography explains."""
+    turned_share: float | None
+    """Share of them that a pure rotation explains; None without E."""
+
+    def figures(self) -> dict[str, float]:
+        """For the report."""
+        figures = {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share}
+        if self.turned_share is not None:
+            figures["rotation_share"] = self.turned_share
+        return figures
+
+    def explained(self, share: float, min_inliers: int) -> bool:
+        """Can the inliers that a model without depth does not explain be chance?  share: of those that it does explain."""
+        unexplained = self.inliers * (1 - share)
+        return unexplained < max(min_inliers, (1 - PLANAR_SHARE) * self.inliers)
+
+
+def _support(inliers: Matches, model: TwoView, options: _Options) -> _Support:
+    """How well the inliers determine this geometry."""
+    x1 = inliers.x1
+    x2 = inliers.x2
+    turned_share: float | None = None
+    if model.R is not None:
+        limit_px = INLIER_FACTOR * options.threshold_px
+        turned_share = rotation_support(x1, x2, inliers.view1, inliers.view2, model.R, limit_px)
+    plane_share = float(homography_support(x1, x2, options.threshold_px, options.seed).mean())
+    area = min(_hull_share(x1, inliers.view1), _hull_share(x2, inliers.view2))
+    return _Support(len(x1), area, plane_share, turned_share)
+
+
+def _hull_share(x: Float64s, view: View) -> float:
+    """Share of an image that the convex hull of the points (n, 2) covers."""
+    return float(cv2.contourArea(cv2.convexHull(x.astype(np.float32)))) / (view.width * view.height)
+
+
+def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
+    """Why the inliers do not determine the geometry; None if they do.
+
+    Matches on a plane determine E, but not F; a pure rotation determines neither.  Both look like a homography.
+    """
+    if support.area < min_area:
+        return Reason.CLUSTERED
+    if support.turned_share is None:
+        return Reason.PLANAR_OR_ROTATION if support.explained(support.plane_share, min_inliers) else None
+    return Reason.PURE_ROTATION if support.explained(support.turned_share, min_inliers) else None
+
+
+def _evidence(
+    raw: Matches, inliers: Matches, night: Matches | None, model: TwoView, left: Features, right: Features, options: _Options
+) -> PairEvidence:
+    """Evidence for the pair: from the descriptors where the matches have keypoints, from those of one night where they are
+    pooled over nights, else from the matcher's probabilities."""
+    if inliers.i1 is not None and inliers.i2 is not None:
+        pairs = searched_view_pairs(inliers, left, right)
+        return pair_evidence(left, right, pairs, inliers.i1, inliers.i2, model, options.seed)
+    evidence = point_evidence(raw, inliers, model, options.seed)
+    if night is None:
+        return evidence
+    return pooled_evidence(evidence, night, model, left, right, options.threshold_px, options.seed)
 
 
 def _accepted(inliers: Matches, model: TwoView, support: _Support, evidence: PairEvidence, score: float) -> Geometry:
-    R, t = model.R, model.t
-    if R is None:  # the pose nearest to F, if both K are known or guessed
-        R, t = pose_of_fundamental(model.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2) or (None, None)
+    """The geometry with its evidence; the relative pose is that of E, or nearest to F if both K are known or guessed."""
+    R = model.R
+    t = model.t
+    if R is None:
+        pose = pose_of_fundamental(model.F, inliers.x1, inliers.x2, inliers.view1, inliers.view2)
+        if pose is not None:
+            R, t = pose
     rival = evidence.rival
     return Geometry(
         F=model.F,
@@ -150,60 +367,8 @@ def _accepted(inliers: Matches, model: TwoView, support: _Support, evidence: Pai
     )
 
 
-def _one_night_matches(matches: Matches, model: TwoView, left: Features, right: Features) -> Matches | None:
-    """One night's keypoint matches around a geometry pooled over many nights; None if it is not pooled."""
-    if matches.nights == 1 or matches.i1 is not None or not min(len(left.xy), len(right.xy)):
-        return None
-    return matches_of_night(at_rows(matches, model.inliers), model.F, left, right)
-
-
-def _evidence(
-    raw: Matches, inliers: Matches, night: Matches | None, model: TwoView, left: Features, right: Features, options: _Options
-) -> PairEvidence:
-    """Evidence for the pair: from the descriptors where the matches have keypoints, from those of one night where they are
-    pooled over nights, else from the matcher's probabilities."""
-    if inliers.i1 is not None and inliers.i2 is not None:
-        return pair_evidence(left, right, searched_view_pairs(inliers, left, right), inliers.i1, inliers.i2, model, options.seed)
-    evidence = point_evidence(raw, inliers, model, options.seed)
-    return evidence if night is None else pooled_evidence(evidence, night, model, left, right, options.threshold_px, options.seed)
-
-
-@dataclass(frozen=True)
-class _Support:
-    """Number of inliers, the share of the image that they span, and the shares that a homography and a pure rotation explain
-    (turned_share: None without E)."""
-
-    inliers: int
-    area: float
-    plane_share: float
-    turned_share: float | None
-
-    def figures(self) -> dict[str, float]:
-        rotation = {} if self.turned_share is None else {"rotation_share": self.turned_share}
-        return {"inliers": float(self.inliers), "area_share": self.area, "homography_share": self.plane_share, **rotation}
-
-    def explained(self, share: float, min_inliers: int) -> bool:
-        """Can the inliers that the model does not explain be chance?"""
-        return self.inliers * (1 - share) < max(min_inliers, (1 - PLANAR_SHARE) * self.inliers)
-
-
-def _support(inliers: Matches, model: TwoView, options: _Options) -> _Support:
-    x1, x2, view1, view2 = inliers.x1, inliers.x2, inliers.view1, inliers.view2
-    limit = INLIER_FACTOR * options.threshold_px
-    turned_share = None if model.R is None else rotation_support(x1, x2, view1, view2, model.R, limit)
-    plane_share = float(homography_support(x1, x2, options.threshold_px, options.seed).mean())
-    return _Support(len(x1), min(_hull_share(x1, view1), _hull_share(x2, view2)), plane_share, turned_share)
-
-
-def _degenerate(support: _Support, min_area: float, min_inliers: int) -> Reason | None:
-    if support.area < min_area:
-        return Reason.CLUSTERED
-    if support.turned_share is not None:
-        return Reason.PURE_ROTATION if support.explained(support.turned_share, min_inliers) else None
-    return Reason.PLANAR_OR_ROTATION if support.explained(support.plane_share, min_inliers) else None
-
-
 def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_area: float, min_inliers: int) -> tuple[str, ...]:
+    """What a user should know about an accepted geometry; contradicted: F was preferred to E although both lenses are known."""
     warnings = []
     if support.inliers < few_inliers:
         warnings.append(f"few inliers: {support.inliers}")
@@ -214,103 +379,3 @@ def _warnings(support: _Support, contradicted: bool, few_inliers: int, small_are
     if contradicted:
         warnings.append("the intrinsics contradict the matches: F kept instead of E")
     return tuple(warnings)
-
-
-def _solve(matches: Matches, size: Float64s, options: _Options) -> TwoView | None:
-    """F or, where both K are known and `ESSENTIAL_SUPPORT` prefers it, E.  size: (n,) sizes of the matched keypoints."""
-    x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    if not (options.use_intrinsics and _has_known_lens(view1) and _has_known_lens(view2)):
-        uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
-        return None if uncalibrated is None else _with_plausible_lenses(matches, uncalibrated, size, options)
-    calibrated = estimate_essential(x1, x2, view1, view2, options.threshold_px, options.seed)
-    if calibrated is not None and calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * len(x1):
-        return calibrated  # even an F with all matches as inliers would not be preferred
-    uncalibrated = estimate_fundamental(x1, x2, options.threshold_px, options.seed)
-    if uncalibrated is None or calibrated is None:
-        return calibrated or uncalibrated
-    return calibrated if calibrated.inliers.sum() >= ESSENTIAL_SUPPORT * uncalibrated.inliers.sum() else uncalibrated
-
-
-def _guided_round(
-    matches: Matches, model: TwoView, night: Matches | None, left: Features, right: Features, options: _Options
-) -> tuple[Matches, TwoView]:
-    """Matches and their geometry after the guided round, or those passed in if they have more inliers.
-
-    night: one night's keypoint matches around the geometry, if the matches are pooled over nights.
-    """
-    inlier_matches = at_rows(matches, model.inliers)
-    guided = with_night(matches, night) if night is not None else match_guided(inlier_matches, left, right, model.F)
-    guided = replace(guided, view1=matches.view1, view2=matches.view2, matcher=matches.matcher)
-    inliers = supporters(model.F, guided.x1, guided.x2, options.threshold_px)
-    return (guided, replace(model, inliers=inliers)) if inliers.sum() >= model.inliers.sum() else (matches, model)
-
-
-def _refined(
-    matches: Matches, model: TwoView | None, size: Float64s, options: _Options
-) -> tuple[TwoView | None, Float64s, TwoCameras | None]:
-    """The geometry refined with weights by keypoint size; the noise (n,) of each match in pixels; and the lenses that go with
-    F where they are not known."""
-    if model is None:
-        return None, size, None
-    x1, x2, view1, view2 = matches.x1, matches.x2, matches.view1, matches.view2
-    previous = model.inliers
-    if model.R is not None and view1.K is not None and view2.K is not None:
-        F, noise = refine_two_view(model.F, x1[previous], x2[previous], size[previous], (view1.K, view2.K))
-        pose = pose_of_fundamental(F, x1[previous], x2[previous], view1, view2)
-        inliers = supporters(F, x1, x2, options.threshold_px)
-        refined = None if pose is None or inliers.sum() < 8 else TwoView(F, inliers, *pose)
-        return refined or model, size * (noise[0] / size[previous][0]), None
-    F, noise = refine_two_view(model.F, x1[previous], x2[previous], size[previous])
-    lenses = None
-    if not (_has_known_lens(view1) and _has_known_lens(view2)):
-        lenses = refine_with_plausible_intrinsics(
-            [F], x1[previous], x2[previous], noise, *_lenses_to_use(matches, options.use_intrinsics)
-        )
-    if lenses is not None and lenses.implausibility <= MOST_IMPLAUSIBLE:
-        F = lenses.F
-    inliers = supporters(F, x1, x2, options.threshold_px)
-    refined = None if inliers.sum() < 8 else TwoView(F, inliers)
-    return refined or model, size * (noise[0] / size[previous][0]), lenses
-
-
-def _with_plausible_lenses(matches: Matches, bare: TwoView, size: Float64s, options: _Options) -> TwoView:
-    """F with plausible lenses for both cameras; the bare F if there are none, or if too many inliers would be lost."""
-    x1, x2 = matches.x1, matches.x2
-    views = _lenses_to_use(matches, options.use_intrinsics)
-    one_lens = estimate_with_one_lens(x1, x2, *views, options.threshold_px, options.seed)
-    candidates = [bare] if one_lens is None else [bare, one_lens]
-    any_inlier = np.any([c.inliers for c in candidates], axis=0)
-    noise = noise_px(bare.F, x1[bare.inliers], x2[bare.inliers], size[bare.inliers])
-    noise = size[any_inlier] * (noise[0] / size[bare.inliers][0])
-    plausible = refine_with_plausible_intrinsics([c.F for c in candidates], x1[any_inlier], x2[any_inlier], noise, *views)
-    if plausible is None or plausible.implausibility > MOST_IMPLAUSIBLE:
-        return bare
-    inliers = supporters(plausible.F, x1, x2, options.threshold_px)
-    return TwoView(plausible.F, inliers) if inliers.sum() >= max(ESSENTIAL_SUPPORT * bare.inliers.sum(), 8) else bare
-
-
-def _lenses_to_use(matches: Matches, use_intrinsics: bool) -> tuple[View, View]:
-    view1, view2 = matches.view1, matches.view2
-    if use_intrinsics:
-        return view1, view2
-    return View(view1.width, view1.height), View(view2.width, view2.height)
-
-
-def _keypoint_sizes(matches: Matches, left: Features, right: Features) -> Float64s:
-    """(n,) size of the coarser keypoint of each match, pixels; 1 without keypoints: only ratios of sizes matter."""
-    if matches.i1 is None or matches.i2 is None:
-        return np.ones(len(matches.x1))
-    return np.asarray(np.maximum(_frame_sizes(left.frames[matches.i1]), _frame_sizes(right.frames[matches.i2])), dtype=np.float64)
-
-
-def _frame_sizes(frames: Float64s) -> Float64s:
-    """(n,) size of keypoints in pixels of the frame, from their local frames (n, 2, 2)."""
-    return np.asarray(np.sqrt(np.abs(np.linalg.det(frames))), dtype=np.float64)
-
-
-def _has_known_lens(view: View) -> bool:
-    return view.K is not None and view.focal_known
-
-
-def _hull_share(x: Float64s, view: View) -> float:
-    return float(cv2.contourArea(cv2.convexHull(x.astype(np.float32)))) / (view.width * view.height)
