@@ -56,21 +56,45 @@ def estimate_overlap(
     candidates : among more than 32 views, a pair without both poses is compared only if one view is among this many that look
         most like the other.
     """
-    names = tuple(views)
-    cameras = {i: camera for i, name in enumerate(names) if (camera := _camera(views[name], placements.get(name))) is not None}
+    # 1. Views with poses: by the ground that they share.  Views are numbered by their position in the site.
+    cameras: dict[int, Camera] = {}
+    keypoints: dict[int, _Keypoints] = {}
+    for i, (name, view) in enumerate(views.items()):
+        camera = _camera(view, placements.get(name))
+        if camera is not None:
+            cameras[i] = camera
+        if name in features:
+            keypoints[i] = _Keypoints.of(features[name], view)
     posed = np.array(list(cameras), np.int64)
     pairs, angle, shared = shared_ground(list(cameras.values()))
-    different = _of_two_cameras(views, posed[pairs])
-    pairs, angle, shared = posed[pairs][different], angle[different], shared[different]
-    keypoints = {i: _Keypoints.of(features[name], view) for i, (name, view) in enumerate(views.items()) if name in features}
-    to_compare = _pairs_to_compare({i: view.largest(descriptors) for i, view in keypoints.items()}, cameras, candidates)
-    to_compare = to_compare[_of_two_cameras(views, to_compare)]
-    likeness = np.array([_likeness(keypoints[i], keypoints[j], descriptors, ratio) for i, j in to_compare.tolist()], np.float64)
-    source = "mixed" if len(pairs) and len(to_compare) else "poses" if len(pairs) else "appearance"
-    all_pairs = np.concatenate([pairs, to_compare])
+    posed_pairs = posed[pairs]
+    keep = _of_two_cameras(views, posed_pairs)
+
+    # 2. The others: by appearance, which tells no angle.
+    largest = {i: view.largest(descriptors) for i, view in keypoints.items()}
+    compared_pairs = _pairs_to_compare(largest, cameras, candidates)
+    compared_pairs = compared_pairs[_of_two_cameras(views, compared_pairs)]
+    likeness = np.zeros(len(compared_pairs))
+    for row, (i, j) in enumerate(compared_pairs.tolist()):
+        likeness[row] = _likeness(keypoints[i], keypoints[j], descriptors, ratio)
+
+    # 3. Both together, by the first view of a pair and then by the second.
+    all_pairs = np.concatenate([posed_pairs[keep], compared_pairs])
+    all_angles = np.concatenate([angle[keep], np.full(len(compared_pairs), np.nan)])
+    all_shares = np.concatenate([shared[keep], likeness])
     order = np.lexsort(all_pairs.T[::-1])
-    angle, shared = np.concatenate([angle, np.full(len(to_compare), np.nan)]), np.concatenate([shared, likeness])
-    return Overlap(names, all_pairs[order].astype(np.int32), np.degrees(angle[order]), shared[order], source)
+    if not keep.any():
+        source = "appearance"
+    else:
+        source = "mixed" if len(compared_pairs) else "poses"
+    return Overlap(tuple(views), all_pairs[order].astype(np.int32), np.degrees(all_angles[order]), all_shares[order], source)
+
+
+def _camera(view: View, placement: Placement | None) -> Camera | None:
+    """The camera of a view whose pose and intrinsics, known or guessed, are there."""
+    if placement is None or placement.R is None or placement.C is None or view.K is None:
+        return None
+    return Camera(view.K, placement.R, placement.C, view.width, view.height)
 
 
 def _of_two_cameras(views: Mapping[str, View], pairs: Int64s) -> Bools:
@@ -81,18 +105,18 @@ def _of_two_cameras(views: Mapping[str, View], pairs: Int64s) -> Bools:
 
 def _pairs_to_compare(descriptors: Mapping[int, Float32s], posed: Mapping[int, Camera], candidates: int) -> Int64s:
     """(m, 2) positions of the views to compare by appearance: pairs without both poses, among many views the most similar."""
-    if len(descriptors) <= _MOST_FOR_ALL_PAIRS:
-        pairs: Sequence[tuple[int, int]] = list(combinations(descriptors, 2))
+    positions = list(descriptors)
+    if len(positions) <= _MOST_FOR_ALL_PAIRS:
+        pairs: Sequence[tuple[int, int]] = list(combinations(range(len(positions)), 2))
     else:
-        positions = list(descriptors)
-        pairs = [(positions[i], positions[j]) for i, j in most_similar([descriptors[i] for i in positions], candidates)]
-    return np.array([(i, j) for i, j in pairs if not (i in posed and j in posed)], np.int64).reshape(-1, 2)
-
-
-def _camera(view: View, placement: Placement | None) -> Camera | None:
-    if placement is None or placement.R is None or placement.C is None or view.K is None:
-        return None
-    return Camera(view.K, placement.R, placement.C, view.width, view.height)
+        pairs = most_similar(list(descriptors.values()), candidates)
+    wanted = []
+    for a, b in pairs:
+        i = positions[a]
+        j = positions[b]
+        if i not in posed or j not in posed:
+            wanted.append((i, j))
+    return np.array(wanted, np.int64).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -107,6 +131,7 @@ class _Keypoints:
 
     @classmethod
     def of(cls, features: Features, view: View) -> _Keypoints:
+        """The keypoints of the plain view among all of a frame."""
         plain = np.flatnonzero(features.tilts == 0)
         area = np.abs(np.linalg.det(features.frames[plain]))
         order = np.argsort(-area, kind="stable")
@@ -122,21 +147,27 @@ class _Keypoints:
 def _likeness(left: _Keypoints, right: _Keypoints, count: int, ratio: float) -> float:
     """Share of the keypoints comparable in both views that resemble each other, 0 to 1."""
     factor = field_ratio(left.view, right.view)
-    if 1 / _UNEQUAL_RATIO < factor < _UNEQUAL_RATIO or not min(len(left.size), len(right.size)):
+    are_equal = 1 / _UNEQUAL_RATIO < factor < _UNEQUAL_RATIO
+    if are_equal or len(left.size) == 0 or len(right.size) == 0:
         return _resemblance(left.largest(count), right.largest(count), ratio)
+    # both views can show keypoints up to the largest ones of the longer lens; the wider view gets more, by its larger field
     limit = min(float(np.quantile(keypoints.size, _LARGEST_QUANTILE)) for keypoints in (left, right))
-    return _resemblance(left.largest(count * max(factor, 1), limit), right.largest(count * max(1 / factor, 1), limit), ratio)
+    left_largest = left.largest(count * max(factor, 1), limit)
+    right_largest = right.largest(count * max(1 / factor, 1), limit)
+    return _resemblance(left_largest, right_largest, ratio)
 
 
 def _resemblance(left: Float32s, right: Float32s, ratio: float) -> float:
     """Share of the descriptors with a mutual and distinctive nearest neighbour, 0 to 1."""
-    if min(len(left), len(right)) < 3:
+    fewer = min(len(left), len(right))
+    if fewer < 3:
         return 0.0
     similarity = left @ right.T
-    forward, ok_forward = _distinctive(similarity, ratio)
-    backward, ok_backward = _distinctive(np.ascontiguousarray(similarity.T), ratio)  # along columns it takes three times as long
-    mutual = backward[forward] == np.arange(len(left))
-    return float((mutual & ok_forward & ok_backward[forward]).sum() / min(len(left), len(right)))
+    forward, is_clear_forward = _distinctive(similarity, ratio)
+    # the transpose is copied, since the search along columns would take three times as long
+    backward, is_clear_backward = _distinctive(np.ascontiguousarray(similarity.T), ratio)
+    is_mutual = backward[forward] == np.arange(len(left))
+    return float((is_mutual & is_clear_forward & is_clear_backward[forward]).sum() / fewer)
 
 
 def _distinctive(similarity: Float32s, ratio: float) -> tuple[Int32s, Bools]:
@@ -147,4 +178,6 @@ def _distinctive(similarity: Float32s, ratio: float) -> tuple[Int32s, Bools]:
     similarity[rows, best] = -1.0
     second = similarity.max(axis=1)
     similarity[rows, best] = first
-    return best.astype(np.int32), np.asarray((2 - 2 * first) < ratio**2 * (2 - 2 * second))
+    # descriptors have unit length, so squared distances are 2 - 2 times the similarity
+    is_distinctive = (2 - 2 * first) < ratio**2 * (2 - 2 * second)
+    return best.astype(np.int32), np.asarray(is_distinctive)

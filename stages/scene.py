@@ -27,9 +27,12 @@ def find_scene(
     bounds : two corners [[x, y, z], [x, y, z]] of the box that holds all that matters, in world lengths.
     ground : look for the plane on which most of the site stands.
     """
+    box = None
+    if bounds is not None:
+        box = np.sort(np.array(bounds, dtype=np.float64), axis=0)  # the corners may be any two opposite ones
     known = {name: camera for name, camera in cameras.items() if camera.component == 0 and name in frames}
-    box = None if bounds is None else np.sort(np.array(bounds, dtype=np.float64), axis=0)
+    if not ground or len(known) < 2:
+        return Scene(box, None)
     undistorted = undistorted_frames(frames, known)
-    grey = {name: grey_levels(undistorted[name].image).astype(np.float32) for name in known} if ground and len(known) > 1 else {}
-    plane = find_ground(grey, known) if grey else None
-    return Scene(box, plane)
+    grey = {name: grey_levels(undistorted[name].image).astype(np.float32) for name in known}
+    return Scene(box, find_ground(grey, known))

@@ -20,17 +20,30 @@ def find_shared(poses: Poses) -> Overlap:
     """
     names = tuple(poses.cameras)
     cameras = list(poses.cameras.values())
-    numbers: dict[str, int] = {}
-    camera_numbers = np.array([numbers.setdefault(camera_id(*item), len(numbers)) for item in poses.cameras.items()], np.int64)
+
+    # 1. All pairs of views within each world.
     components = np.array([camera.component for camera in cameras], np.int64)
-    parts = []
+    pairs_of_worlds = []
+    angles_of_worlds = []
+    shares_of_worlds = []
     for component in np.unique(components):
         members = np.flatnonzero(components == component)
-        pairs, angle, shared = shared_ground([cameras[k] for k in members])
-        parts.append((members[pairs], angle, shared))
-    all_pairs, angle, shared = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    wrong_pairs = {pair for pair, check in poses.pair_checks.items() if not check.kept}
-    is_right = np.array([f"{names[i]}--{names[j]}" not in wrong_pairs for i, j in all_pairs.tolist()], bool)
-    keep = is_right & (camera_numbers[all_pairs[:, 0]] != camera_numbers[all_pairs[:, 1]])
-    order = np.flatnonzero(keep)[np.lexsort(all_pairs[keep].T[::-1])]
-    return Overlap(names, all_pairs[order].astype(np.int32), np.degrees(angle[order]), shared[order], "poses")
+        member_pairs, angle, shared = shared_ground([cameras[k] for k in members])
+        pairs_of_worlds.append(members[member_pairs])
+        angles_of_worlds.append(angle)
+        shares_of_worlds.append(shared)
+    pairs = np.concatenate(pairs_of_worlds)
+    angle = np.concatenate(angles_of_worlds)
+    shared = np.concatenate(shares_of_worlds)
+
+    # 2. Without those of one camera, and those that the cameras contradict.
+    ids = [camera_id(name, camera) for name, camera in poses.cameras.items()]
+    keep = np.ones(len(pairs), bool)
+    for row, (i, j) in enumerate(pairs.tolist()):
+        check = poses.pair_checks.get(f"{names[i]}--{names[j]}")
+        is_contradicted = check is not None and not check.kept
+        keep[row] = ids[i] != ids[j] and not is_contradicted
+
+    # 3. In the order of the views: by the first of a pair, then by the second.
+    order = np.flatnonzero(keep)[np.lexsort(pairs[keep].T[::-1])]
+    return Overlap(names, pairs[order].astype(np.int32), np.degrees(angle[order]), shared[order], "poses")

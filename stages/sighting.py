@@ -14,12 +14,23 @@ from .types import Float64s, Lens
 Pixel = list[float]
 """x, y in a capture, pixels."""
 
-_NEAR, _FAR, _STEPS = 0.02, 2000.0, 600
-"""The part of a ray that is drawn in other pictures, from and to, in units of the baseline; and its number of points."""
+_NEAR = 0.02
+"""Nearest point of a ray that is drawn in other pictures, in units of the baseline between the two cameras."""
+_FAR = 2000.0
+"""Farthest point of a ray that is drawn in other pictures, in units of the baseline."""
+_STEPS = 600
+"""Number of points of a ray that is drawn in other pictures, evenly in the logarithm of their distance."""
 _EDGE_POINTS = 24
 """Points along each edge of an outline, since lenses bend straight lines."""
 _MARGIN = 0.5
 """Margin around a picture, as a share of its size, within which lines are still drawn."""
+_ROUNDS = 5
+"""Rounds in which a point is solved with weights by its distance from the cameras."""
+_MOST_CONDITION = 1e10
+"""Condition number of the equations above which the rays are parallel and have no intersection."""
+
+_Ray = tuple[Float64s, Float64s, float]
+"""Origin, unit direction, and pixels per radian."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +59,15 @@ class Sight:
         """The pieces of a line through points (n, 3) of the world that are in or near the picture."""
         pixels = self.pixels(X)
         size = np.array([self.lens.width, self.lens.height])
-        with np.errstate(invalid="ignore"):
-            near = ((pixels > -_MARGIN * size) & (pixels < (1 + _MARGIN) * size)).all(axis=1)
-        breaks = np.flatnonzero(np.diff(near.astype(int))) + 1
-        pieces = [p for p, inside in zip(np.split(pixels, breaks), np.split(near, breaks), strict=True) if inside.any()]
-        return [np.round(piece, 2).tolist() for piece in pieces if len(piece) > 1]
+        with np.errstate(invalid="ignore"):  # points that the camera does not see are nan, and near nothing
+            is_near = ((pixels > -_MARGIN * size) & (pixels < (1 + _MARGIN) * size)).all(axis=1)
+        # cut where points enter or leave the picture: each run is then near it as a whole, or not at all
+        cuts = np.flatnonzero(np.diff(is_near.astype(int))) + 1
+        pieces = []
+        for run, is_inside in zip(np.split(pixels, cuts), np.split(is_near, cuts), strict=True):
+            if len(run) > 1 and is_inside.any():
+                pieces.append(np.round(run, 2).tolist())
+        return pieces
 
 
 class Sights:
@@ -70,24 +85,39 @@ class Sights:
         """
         places = self._places([pixels for pixels, _ in points])
         results: list[dict[str, Any]] = []
+        expected: list[Float64s | None] = []
         for place, (_, stated) in zip(places, points, strict=True):
-            metres = None if place is None or stated is None else float(np.linalg.norm(place - stated))
+            stated_place = None if stated is None else np.array(stated, dtype=np.float64)
+            metres = None
+            if place is not None and stated_place is not None:
+                metres = float(np.linalg.norm(place - stated_place))
             results.append({"place": None if place is None else place.tolist(), "pixels": {}, "metres": metres})
-        expected = [place if place is not None else stated for place, (_, stated) in zip(places, points, strict=True)]
+            expected.append(stated_place if place is None else place)
+
+        # all points of one camera are projected together
         for name, sight in self._sights.items():
-            clicked = [k for k, (pixels, _) in enumerate(points) if name in pixels and expected[k] is not None]
-            if not clicked:
+            rows = []
+            clicks = []
+            seen_places = []
+            for k, (pixels, _) in enumerate(points):
+                place = expected[k]
+                if name in pixels and place is not None:
+                    rows.append(k)
+                    clicks.append(pixels[name])
+                    seen_places.append(place)
+            if not rows:
                 continue
-            projected = sight.pixels(np.array([expected[k] for k in clicked], dtype=np.float64))
-            distances = np.linalg.norm(projected - np.array([points[k][0][name] for k in clicked]), axis=1)
-            for k, distance in zip(clicked, distances.tolist(), strict=True):
+            projected = sight.pixels(np.array(seen_places, dtype=np.float64))
+            distances = np.linalg.norm(projected - np.array(clicks), axis=1)
+            for k, distance in zip(rows, distances.tolist(), strict=True):
                 results[k]["pixels"][name] = distance if np.isfinite(distance) else None
         return results
 
     def guide(self, camera: str, pixels: Mapping[str, Pixel], stated: Sequence[float] | None) -> dict[str, Any]:
         """Where a point should be in one camera's picture, by the clicks in others: "at": its pixel, from two clicks or more;
         "lines": pieces of the epipolar line, from one click; "stated": the pixel of its stated coordinates."""
-        if (sight := self._sights.get(camera)) is None:
+        sight = self._sights.get(camera)
+        if sight is None:
             return {}
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}
         guides: dict[str, Any] = {}
@@ -97,7 +127,8 @@ class Sights:
         elif others:
             other, pixel = next(iter(others.items()))
             other_sight = self._sights[other]
-            distances = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * max(float(np.linalg.norm(sight.C - other_sight.C)), 1e-6)
+            baseline = max(float(np.linalg.norm(sight.C - other_sight.C)), 1e-6)
+            distances = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * baseline
             guides["lines"] = sight.line_pieces(other_sight.C + distances * other_sight.rays([pixel]))
         if stated is not None:
             guides["stated"] = _rounded(sight.pixels(np.array([stated], dtype=np.float64))[0])
@@ -107,17 +138,24 @@ class Sights:
         """x, y of the point at a given height that a pixel shows; None above the horizon."""
         sight = self._sights[camera]
         (ray,) = sight.rays([pixel])
-        distance = (height - sight.C[2]) / ray[2] if abs(ray[2]) > 1e-9 else np.nan
-        return np.round((sight.C + distance * ray)[:2], 3).tolist() if distance > 0 else None
+        if not abs(ray[2]) > 1e-9:  # horizontal, or nan
+            return None
+        distance = (height - sight.C[2]) / ray[2]
+        if not distance > 0:
+            return None
+        x, y = np.round((sight.C + distance * ray)[:2], 3).tolist()
+        return [x, y]
 
     def outline(self, camera: str, corners: Sequence[Pixel], height: float) -> dict[str, Any]:
         """A polygon on the ground in a camera's picture: "lines", and "corners" (None for one that is not seen)."""
-        if (sight := self._sights.get(camera)) is None:
+        sight = self._sights.get(camera)
+        if sight is None:
             return {"lines": [], "corners": [None] * len(corners)}
         points = np.column_stack([np.array(corners, dtype=np.float64).reshape(-1, 2), np.full(len(corners), height)])
         fractions = np.linspace(0, 1, _EDGE_POINTS)[:, None]
-        edges = [a + fractions * (b - a) for a, b in zip(points, np.roll(points, -1, axis=0), strict=True)]
-        lines = [line for edge in edges for line in sight.line_pieces(edge)]
+        lines: list[list[Pixel]] = []
+        for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
+            lines += sight.line_pieces(start + fractions * (end - start))
         return {"lines": lines, "corners": [_rounded(pixel) for pixel in sight.pixels(points)]}
 
     def _places(self, points: Sequence[Mapping[str, Pixel]]) -> list[Float64s | None]:
@@ -125,37 +163,37 @@ class Sights:
         rays: list[list[_Ray]] = [[] for _ in points]
         for name, sight in self._sights.items():
             clicked = [k for k, pixels in enumerate(points) if name in pixels]
-            directions = sight.rays([points[k][name] for k in clicked]) if clicked else ()
+            if not clicked:
+                continue
+            directions = sight.rays([points[k][name] for k in clicked])
             for k, direction in zip(clicked, directions, strict=True):
                 rays[k].append((sight.C, direction, sight.focal))
         return [_intersection(point_rays) for point_rays in rays]
-
-
-_Ray = tuple[Float64s, Float64s, float]
-"""Origin, unit direction, and pixels per radian."""
-_ROUNDS = 5
-_MOST_CONDITION = 1e10
-"""Condition number of the equations above which the rays are parallel and have no intersection."""
 
 
 def _intersection(rays: Sequence[_Ray]) -> Float64s | None:
     """(3,) the point closest to all rays by least squares of distances in pixels (focal length times distance / range)."""
     if len(rays) < 2:
         return None
+    # (3, 3) for each ray: the part of a vector across the ray, so |projector (X - C)| is the distance of X from it
     projectors = [np.eye(3) - np.outer(direction, direction) for _, direction, _ in rays]
+    origins = np.array([C for C, _, _ in rays])
+    focals = np.array([focal for _, _, focal in rays])
     weights = np.ones(len(rays))
     place = np.zeros(3)
     for _ in range(_ROUNDS):
-        A = np.sum([w * a for w, a in zip(weights, projectors, strict=True)], axis=0)
+        A = np.sum([w * projector for w, projector in zip(weights, projectors, strict=True)], axis=0)
         if not np.isfinite(A).all() or np.linalg.cond(A) > _MOST_CONDITION:
             return None
-        place = np.linalg.solve(A, np.sum([w * a @ C for w, a, (C, _, _) in zip(weights, projectors, rays, strict=True)], axis=0))
-        distances = np.array([np.linalg.norm(place - C) for C, _, _ in rays])
-        weights = (np.array([focal for _, _, focal in rays]) / np.maximum(distances, 1e-9)) ** 2
+        right_side = np.sum([w * projector @ C for w, projector, C in zip(weights, projectors, origins, strict=True)], axis=0)
+        place = np.linalg.solve(A, right_side)
+        distances = np.array([np.linalg.norm(place - C) for C in origins])
+        weights = (focals / np.maximum(distances, 1e-9)) ** 2  # from metres across the ray to pixels
     return np.asarray(place, dtype=np.float64)
 
 
 def _sight(entry: Mapping[str, Any]) -> Sight:
+    """The camera of an entry of `cameras.json`."""
     lens = Lens(
         np.array(entry["K"], dtype=np.float64),
         np.array(entry.get("distortion") or np.zeros(5), dtype=np.float64),
@@ -168,4 +206,8 @@ def _sight(entry: Mapping[str, Any]) -> Sight:
 
 
 def _rounded(pixel: Float64s) -> Pixel | None:
-    return np.round(pixel, 2).tolist() if np.isfinite(pixel).all() else None
+    """A pixel to two decimals; None for one that is not seen."""
+    if not np.isfinite(pixel).all():
+        return None
+    x, y = np.round(pixel, 2).tolist()
+    return [x, y]
