@@ -49,6 +49,7 @@ def adjust(
     rows = np.flatnonzero(use)
     if not len(rows):
         return dict(cameras), X.copy()  # no observation constrains anything
+    # COLMAP's ids count from 1, ours from 0
     model, points = _model(cameras, tracks, X, rows, focals)
     config = pycolmap.BundleAdjustmentConfig()
     for view in cameras:
@@ -60,17 +61,7 @@ def adjust(
         config.set_constant_rig_from_world_pose(frame + 1)
     options = _options(loss_px, tolerance, iterations, bool(focals))
     if positions:
-        priors = [
-            pycolmap.PosePrior(
-                pose_prior_id=view + 1,
-                corr_data_id=model.image(view + 1).data_id,
-                position=C,
-                position_covariance=sigma**2 * np.eye(3),
-                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-            )
-            for view, (C, sigma) in positions.items()
-            if first[view] == view
-        ]
+        priors = _position_priors(model, {view: prior for view, prior in positions.items() if first[view] == view})
         prior_options = pycolmap.PosePriorBundleAdjustmentOptions()
         prior_options.alignment_ransac.random_seed = 0
         solver = pycolmap.create_pose_prior_bundle_adjuster(options, prior_options, config, priors, model)
@@ -81,7 +72,10 @@ def adjust(
     solver.solve()
     new_X = X.copy()
     new_X[points] = [model.point3D(i + 1).xyz for i in range(len(points))]
-    return {view: _solved_camera(model, view, camera, view in focals, view in held) for view, camera in cameras.items()}, new_X
+    solved = {}
+    for view, camera in cameras.items():
+        solved[view] = _solved_camera(model, view, camera, view in focals, view in held)
+    return solved, new_X
 
 
 def _model(
@@ -102,7 +96,10 @@ def _model(
     keypoint = np.zeros(len(tracks.track), np.int64)
     lenses: dict[int, int] = {}
     for view, camera in cameras.items():
-        lens = lenses.setdefault(focals[view], view + 1) if view in focals else view + 1
+        # views that share a solved lens have the COLMAP camera of the first of them
+        lens = view + 1
+        if view in focals:
+            lens = lenses.setdefault(focals[view], view + 1)
         is_alone = len(rigs[first[view]]) == 1
         if lens == view + 1 and is_alone:
             model.add_camera_with_trivial_rig(_lens(camera, lens, view in focals))
@@ -114,8 +111,10 @@ def _model(
         else:
             image.frame_id = first[view] + 1
             model.add_image(image)
+    # observations are sorted by track: each point's are the rows from its start to the next one's
     points, starts = np.unique(tracks.track[rows], return_index=True)
-    views, keypoints = (tracks.view[rows] + 1).tolist(), keypoint[rows].tolist()
+    views = (tracks.view[rows] + 1).tolist()
+    keypoints = keypoint[rows].tolist()
     for point, start, end in zip(points.tolist(), starts.tolist(), [*starts.tolist()[1:], len(rows)], strict=True):
         track = pycolmap.Track()
         for k in range(start, end):
@@ -127,7 +126,8 @@ def _model(
 def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> None:
     """Add the views of one camera as the sensors of a rig with one frame, numbered after the first view."""
     first = next(iter(cameras))
-    rig, frame = pycolmap.Rig(rig_id=first + 1), pycolmap.Frame(frame_id=first + 1, rig_id=first + 1)
+    rig = pycolmap.Rig(rig_id=first + 1)
+    frame = pycolmap.Frame(frame_id=first + 1, rig_id=first + 1)
     for view, camera in cameras.items():
         model.add_camera(_lens(camera, view + 1, False))
         sensor = model.camera(view + 1).sensor_id
@@ -144,19 +144,39 @@ def _add_rig(model: pycolmap.Reconstruction, cameras: Mapping[int, Camera]) -> N
 
 
 def _rigid(camera: Camera) -> pycolmap.Rigid3d:
+    """The transform from world to camera coordinates."""
     return pycolmap.Rigid3d(np.column_stack([camera.R, -camera.R @ camera.C]))
 
 
 def _lens(camera: Camera, number: int, solved: bool) -> pycolmap.Camera:
+    """COLMAP camera of a view; one whose lens is solved has one focal length and two coefficients of radial distortion."""
     K = camera.K
     if solved:
-        model, params = "RADIAL", [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2], *camera.radial]
+        model = "RADIAL"
+        params = [0.5 * (K[0, 0] + K[1, 1]), K[0, 2], K[1, 2], *camera.radial]
     else:
-        model, params = "PINHOLE", [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        model = "PINHOLE"
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
     return pycolmap.Camera(camera_id=number, model=model, width=camera.width, height=camera.height, params=params)
 
 
+def _position_priors(model: pycolmap.Reconstruction, positions: Mapping[int, tuple[Float64s, float]]) -> list[pycolmap.PosePrior]:
+    """Known centres (3,) of views with their standard deviations, the same in all directions."""
+    priors = []
+    for view, (C, sigma) in positions.items():
+        prior = pycolmap.PosePrior(
+            pose_prior_id=view + 1,
+            corr_data_id=model.image(view + 1).data_id,
+            position=C,
+            position_covariance=sigma**2 * np.eye(3),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        priors.append(prior)
+    return priors
+
+
 def _options(loss_px: float, tolerance: float, iterations: int, refine_focal: bool) -> pycolmap.BundleAdjustmentOptions:
+    """Settings of Ceres: one thread, since sums in another order differ in the last bits."""
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_sensor_from_rig = False
     options.print_summary = False
@@ -175,6 +195,7 @@ def _options(loss_px: float, tolerance: float, iterations: int, refine_focal: bo
 
 
 def _solved_camera(model: pycolmap.Reconstruction, view: int, camera: Camera, solved: bool, fixed: bool) -> Camera:
+    """The camera after adjustment; solved: with its lens; fixed: with the pose that it had, to the last bit."""
     image = model.image(view + 1)
     if solved:
         f, _, _, k1, k2 = model.camera(image.camera_id).params

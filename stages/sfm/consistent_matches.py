@@ -19,8 +19,11 @@ from ..types import Geometry, at_rows
 from .loops import triangles_of
 from .rotation_averaging import View
 
-SAME_PX, ELSEWHERE_PX = 3.0, 12.0
-"""Chains around three cameras confirm a match if they end within the first distance, and contradict it beyond the second."""
+SAME_PX = 3.0
+"""A chain of matches through a third camera confirms a match if it ends within this distance, pixels."""
+ELSEWHERE_PX = 12.0
+"""A chain of matches through a third camera contradicts a match if it ends farther away than this, pixels; between both distances
+it says nothing."""
 
 
 def consistent_matches(geometries: Mapping[tuple[View, View], Geometry], fewest: int = 0) -> dict[tuple[View, View], Geometry]:
@@ -29,17 +32,30 @@ def consistent_matches(geometries: Mapping[tuple[View, View], Geometry], fewest:
 
     @cache
     def tree(edge: tuple[View, View]) -> cKDTree:
+        """The points of a pair in its first view: most pairs are in many triangles."""
         return cKDTree(geometries[edge].x1)
 
-    for a, b, c in triangles_of([edge for edge, geometry in geometries.items() if len(geometry.x1)]):
-        ab, bc, ac = (a, b), (b, c), (a, c)
+    matched = [edge for edge, geometry in geometries.items() if len(geometry.x1)]
+    for a, b, c in triangles_of(matched):
+        ab = (a, b)
+        bc = (b, c)
+        ac = (a, c)
+        # for each match of a--b the nearest match of b--c, in b, and of a--c, in a; do these two meet in c?
         distance_b, k = tree(bc).query(geometries[ab].x2)
         distance_a, m = tree(ac).query(geometries[ab].x1)
         is_chained = (distance_b < SAME_PX) & (distance_a < SAME_PX)
         gap = np.linalg.norm(geometries[bc].x2[k] - geometries[ac].x2[m], axis=1)
-        for rows, vote in ((is_chained & (gap < SAME_PX), 1), (is_chained & (gap > ELSEWHERE_PX), -1)):
+        confirms = is_chained & (gap < SAME_PX)
+        contradicts = is_chained & (gap > ELSEWHERE_PX)
+        for rows, vote in ((confirms, 1), (contradicts, -1)):
             np.add.at(votes[ab], np.flatnonzero(rows), vote)
             np.add.at(votes[bc], k[rows], vote)
             np.add.at(votes[ac], m[rows], vote)
-    kept = {edge: vote > 0 if (vote > 0).sum() >= fewest else np.ones(len(vote), bool) for edge, vote in votes.items()}
-    return {edge: at_rows(geometry, kept[edge]) for edge, geometry in geometries.items()}
+
+    consistent = {}
+    for edge, geometry in geometries.items():
+        keep = votes[edge] > 0
+        if keep.sum() < fewest:
+            keep = np.ones(len(geometry.x1), bool)
+        consistent[edge] = at_rows(geometry, keep)
+    return consistent

@@ -42,13 +42,16 @@ SAME_LENGTH = 0.1
 """Points agree on a baseline if the lengths they imply differ from the median by less than this share; half of them must."""
 LEAST_CHANGED = 1e-3
 """Rounds end when no more than this share of the observations enters or leaves."""
-ROUGH_GAIN, EXACT_GAIN = 1e-5, 1e-6
-"""An adjustment ends when a step lowers its cost by no more than this share: of a growing model, and of the final one.  Long rows
-of cameras need the exact one, as bending them costs almost nothing: with 1e-5, one of 100 cameras ended four times as far off."""
+ROUGH_GAIN = 1e-5
+"""The adjustment of a growing model ends when a step lowers its cost by no more than this share."""
+EXACT_GAIN = 1e-6
+"""The same for the final adjustment.  Long rows of cameras need it this small, as bending them costs almost nothing."""
 GROWTH_FACTOR = 1.25
 """All cameras are adjusted again when their number has grown by this factor since the last time."""
-SKETCH_OBSERVATIONS, SKETCH_STEPS = 5, 10
-"""Observations in each grid field of a view, and steps, of an adjustment while the model grows."""
+SKETCH_OBSERVATIONS = 5
+"""Observations in each grid field of a view that enter an adjustment while the model grows."""
+SKETCH_STEPS = 10
+"""Most steps of an adjustment while the model grows."""
 FOCALS_FROM = 3
 """Focal lengths are solved from this number of views on: two views leave them nearly free."""
 LENSES_DIFFER = 0.02
@@ -108,7 +111,9 @@ def grow(
     known : cameras whose poses are known: if at least two of them see the same points, the model starts from them, in their
         world frame.
     """
-    model = _from_known(known or {}, tracks, lenses or {}) or _from_best_pair(cameras, tracks, geometries, lenses or {})
+    model = _from_known(known or {}, tracks, lenses or {})
+    if model is None:
+        model = _from_best_pair(cameras, tracks, geometries, lenses or {})
     if model is None:
         return None
     adjusted_count = len(model.cameras)
@@ -116,8 +121,10 @@ def grow(
     while next_view := _next_view(model, cameras, geometries, failed):
         view, camera = next_view
         model = replace_cameras(model, {**model.cameras, view: camera})
+        # adjusting all cameras for each new one would cost the square of their number
         if len(model.cameras) >= GROWTH_FACTOR * adjusted_count:
-            model, adjusted_count = _sketched(model), len(model.cameras)
+            model = _sketched(model)
+            adjusted_count = len(model.cameras)
         else:
             model = _with_view_fitted(model, view)
     return _with_own_lenses(_sketched(model))
@@ -132,11 +139,19 @@ def _next_view(
     failed: number of points seen by each view that could not be placed; it is tried again only with more.
     """
     for view, unposed in cameras.items():
-        if view not in model.cameras and (camera := posed_by_sibling(unposed, model.cameras)):
-            return view, camera
+        if view in model.cameras:
+            continue
+        placed = posed_by_sibling(unposed, model.cameras)
+        if placed is not None:
+            return view, placed
+    # the number of points that each view sees
     tracks = model.tracks
     counts = np.bincount(tracks.view[np.isfinite(model.X[tracks.track, 0])], minlength=max(cameras) + 1)
-    waiting = [view for view in cameras if view not in model.cameras and counts[view] >= max(MIN_SHARED, failed.get(view, 0) + 1)]
+    waiting = []
+    for view in cameras:
+        needed = max(MIN_SHARED, failed.get(view, 0) + 1)
+        if view not in model.cameras and counts[view] >= needed:
+            waiting.append(view)
     for view in sorted(waiting, key=lambda v: (-counts[v], v)):
         unposed = _with_lens(cameras[view], view, model)
         camera = _resect(unposed, view, model) or _attached_to_pair(unposed, view, model, geometries)
@@ -150,9 +165,17 @@ def _sketched(model: Model) -> Model:
     """The growing model after a quick adjustment, of some of the tracks in a few steps, that suffices for adding views."""
     model = _retriangulated(model)
     focals = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM else {}
-    args = model.cameras, model.tracks, model.X, _spread_use(model)
-    held = model.held
-    cameras, _ = adjust(*args, held=held, focals=focals, loss_px=COARSE_PX, tolerance=ROUGH_GAIN, iterations=SKETCH_STEPS)
+    cameras, _ = adjust(
+        model.cameras,
+        model.tracks,
+        model.X,
+        _spread_use(model),
+        held=model.held,
+        focals=focals,
+        loss_px=COARSE_PX,
+        tolerance=ROUGH_GAIN,
+        iterations=SKETCH_STEPS,
+    )
     return _retriangulated(replace(model, cameras=cameras))
 
 
@@ -163,26 +186,41 @@ def _with_view_fitted(model: Model, view: int) -> Model:
     seen[tracks.track[tracks.view == view]] = True
     if not seen.any():
         return model
-    others = {v: camera for v, camera in model.cameras.items() if v != view}
+    # the part of the model that the view sees, with its tracks numbered anew
     rows = seen[tracks.track]
     number = np.cumsum(seen, dtype=np.int32) - 1
     part_tracks = Tracks(number[tracks.track[rows]], tracks.view[rows], tracks.xy[rows], int(seen.sum()))
     part_cameras = {v: model.cameras[v] for v in np.unique(part_tracks.view).tolist() if v in model.cameras}
     part = _retriangulated(Model(part_cameras, part_tracks, model.X[seen], model.use[rows], model.lenses))
+    # a view of a camera that is already placed by another view has no freedom
+    others = {v: camera for v, camera in model.cameras.items() if v != view}
     if part.use.any() and posed_by_sibling(model.cameras[view], others) is None:
+        # a lens that other views share is not solved from this view alone
         lenses = _solved_lenses(model)
-        own_lens = {view: lenses[view]} if list(lenses.values()).count(lenses.get(view, -1)) == 1 else {}
-        args, held = (part_cameras, part_tracks, part.X, _spread_use(part)), [v for v in part_cameras if v != view]
-        cameras, _ = adjust(*args, held=held, focals=own_lens, loss_px=COARSE_PX, tolerance=ROUGH_GAIN, iterations=SKETCH_STEPS)
+        is_own_lens = list(lenses.values()).count(lenses.get(view, -1)) == 1
+        cameras, _ = adjust(
+            part_cameras,
+            part_tracks,
+            part.X,
+            _spread_use(part),
+            held=[v for v in part_cameras if v != view],
+            focals={view: lenses[view]} if is_own_lens else {},
+            loss_px=COARSE_PX,
+            tolerance=ROUGH_GAIN,
+            iterations=SKETCH_STEPS,
+        )
         part = _retriangulated(replace(part, cameras=cameras))
-    X, use = model.X.copy(), model.use.copy()
-    X[seen], use[rows] = part.X, part.use
+    X = model.X.copy()
+    X[seen] = part.X
+    use = model.use.copy()
+    use[rows] = part.use
     return replace(model, cameras=model.cameras | part.cameras, X=X, use=use)
 
 
 def _spread_use(model: Model) -> Bools:
     """(n,) observations in use of a subset of the tracks that still covers every view."""
-    return np.asarray(model.use & spread_tracks(model.tracks, model.use, SKETCH_OBSERVATIONS)[model.tracks.track])
+    in_subset = spread_tracks(model.tracks, model.use, SKETCH_OBSERVATIONS)
+    return np.asarray(model.use & in_subset[model.tracks.track])
 
 
 def _solved_lenses(model: Model) -> dict[int, int]:
@@ -207,7 +245,8 @@ def refine(
     rough : use the loss and the tolerance of a growing model.
     positions : known centres (3,) of at least three views, with standard deviations, in the world frame of the model.
     """
-    free_lenses = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM or known or model.held else {}
+    has_fixed = bool(known) or bool(model.held)
+    free_lenses = _solved_lenses(model) if len(model.cameras) >= FOCALS_FROM or has_fixed else {}
     held = [view for view in model.cameras if view in known or view in model.held]
     adjusted_use = np.zeros_like(model.use)
     for _ in range(rounds):
@@ -215,11 +254,18 @@ def refine(
         if (model.use != adjusted_use).sum() <= LEAST_CHANGED * model.use.sum():
             break
         adjusted_use = model.use
-        noise = max(_noise(model.error_px()[model.use]), 4e-4)
-        weighted = {view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()}
-        loss, tolerance = (COARSE_PX, ROUGH_GAIN) if rough else (FINE_SIGMAS * noise, EXACT_GAIN)
-        args = model.cameras, model.tracks, model.X, model.use
-        cameras, X = adjust(*args, held=held, focals=free_lenses, positions=weighted, loss_px=loss, tolerance=tolerance)
+        noise = max(_noise(model.error_px()[model.use]), 4e-4)  # observations without any noise would have infinite weight
+        cameras, X = adjust(
+            model.cameras,
+            model.tracks,
+            model.X,
+            model.use,
+            held=held,
+            focals=free_lenses,
+            positions={view: (C, sigma / noise) for view, (C, sigma) in (positions or {}).items()},
+            loss_px=COARSE_PX if rough else FINE_SIGMAS * noise,
+            tolerance=ROUGH_GAIN if rough else EXACT_GAIN,
+        )
         model = _filtered(replace(model, cameras=cameras, X=X))
     return model
 
@@ -235,8 +281,11 @@ def _from_known(known: Mapping[int, Camera], tracks: Tracks, lenses: Mapping[int
         return None
     model = _retriangulated(replace(Model.without_points(known, tracks, lenses), held=tuple(known)))
     point_count = int(np.isfinite(model.X[:, 0]).sum())
-    shared_count = int((np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count) >= 2).sum())
-    return model if point_count >= max(MIN_POINTS, KNOWN_SHARE * shared_count) else None
+    views_of_track = np.bincount(tracks.track[posed(known, tracks)], minlength=tracks.count)
+    shared_count = int((views_of_track >= 2).sum())
+    if point_count < max(MIN_POINTS, KNOWN_SHARE * shared_count):
+        return None
+    return model
 
 
 def _from_best_pair(
@@ -247,22 +296,27 @@ def _from_best_pair(
     track_lengths = np.bincount(tracks.track, minlength=tracks.count)
     rows = {view: np.flatnonzero(tracks.view == view) for view in cameras}
     for (i, j), geometry in geometries.items():
-        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+        R = geometry.cam2_R_cam1
+        t = geometry.cam2_t_cam1
         if R is None or t is None:
             continue
-        pair = {i: replace(cameras[i], R=np.eye(3), C=np.zeros(3)), j: replace(cameras[j], R=R, C=-R.T @ t)}
+        left = replace(cameras[i], R=np.eye(3), C=np.zeros(3))
+        right = replace(cameras[j], R=R, C=-R.T @ t)
         shared, a, b = np.intersect1d(tracks.track[rows[i]], tracks.track[rows[j]], return_indices=True)
-        angle = _angles_of_pair(pair[i], pair[j], tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
-        worth = float((np.minimum(angle / np.radians(15), 1) * (1 + (track_lengths[shared] > 2))).sum())
+        angle = _angles_of_pair(left, right, tracks.xy[rows[i][a]], tracks.xy[rows[j][b]])
+        angle_worth = np.minimum(angle / np.radians(15), 1)  # wider angles place a point no better
+        worth = float((angle_worth * (1 + (track_lengths[shared] > 2))).sum())
         if best is None or worth > best[0]:
-            best = worth, pair
+            best = (worth, {i: left, j: right})
     if best is None:
         return None
     model = _retriangulated(Model.without_points(best[1], tracks, lenses))
     if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:
         return None
     model = refine(model, rounds=2, rough=True)
-    return model if np.isfinite(model.X[:, 0]).sum() >= MIN_POINTS else None  # the adjustment may leave too few
+    if np.isfinite(model.X[:, 0]).sum() < MIN_POINTS:  # the adjustment may leave too few
+        return None
+    return model
 
 
 def _angles_of_pair(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
@@ -287,13 +341,14 @@ def _resect(camera: Camera, view: int, model: Model) -> Camera | None:
     """The view's pose from the points it shares with the model; None if too few agree."""
     tracks = model.tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
-    x, X = without_distortion(camera, tracks.xy[rows]), model.X[tracks.track[rows]]
+    x = without_distortion(camera, tracks.xy[rows])
+    X = model.X[tracks.track[rows]]
     options = {"max_reproj_error": LOOSE_PX, "max_iterations": 10000, "min_iterations": 200, "seed": 0}
     pose, statistics = poselib.estimate_absolute_pose(x, X, pinhole(camera), options, {})
     if statistics["num_inliers"] < max(MIN_POINTS, 0.25 * len(rows)):
         return None
-    R, t = np.asarray(pose.R), np.asarray(pose.t)
-    return replace(camera, R=R, C=-R.T @ t)
+    R = np.asarray(pose.R)
+    return replace(camera, R=R, C=-R.T @ np.asarray(pose.t))
 
 
 def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mapping[Edge, Geometry]) -> Camera | None:
@@ -301,19 +356,29 @@ def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mappi
 
     This serves views so far apart that too few points are seen by three of them.
     """
-    best, most_agreeing = None, 0
+    best: Camera | None = None
+    most_agreeing = 0
     tracks = model.undistorted_tracks
     rows = np.flatnonzero((tracks.view == view) & np.isfinite(model.X[tracks.track, 0]))
     for edge, geometry in geometries.items():
         other = edge[1] if edge[0] == view else edge[0]
-        R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
-        if view not in edge or other not in model.cameras or R is None or t is None:
+        R_pair = geometry.cam2_R_cam1
+        t = geometry.cam2_t_cam1
+        if view not in edge or other not in model.cameras or R_pair is None or t is None:
             continue
+        # rotation of the view, and unit vector from the solved view to it, both in the model's world
         base = model.cameras[other]
-        R, direction = (R.T @ base.R, base.R.T @ t) if edge[0] == view else (R @ base.R, -base.R.T @ R.T @ t)
+        if edge[0] == view:
+            R = R_pair.T @ base.R
+            direction = base.R.T @ t
+        else:
+            R = R_pair @ base.R
+            direction = -base.R.T @ R_pair.T @ t
+        # each shared point implies a length: its depth in the model over its depth for a baseline of length 1
         base_rows = np.flatnonzero(tracks.view == other)
         _, a, b = np.intersect1d(tracks.track[base_rows], tracks.track[rows], return_indices=True)
-        x_base, x = tracks.xy[base_rows[a]], without_distortion(camera, tracks.xy[rows[b]])
+        x_base = tracks.xy[base_rows[a]]
+        x = without_distortion(camera, tracks.xy[rows[b]])
         unit_depth, _ = triangulate_depth(base, replace(camera, R=R, C=base.C + direction), x_base, x)
         lengths = ((model.X[tracks.track[rows[b]]] - base.C) @ base.R[2]) / unit_depth
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
@@ -322,22 +387,27 @@ def _attached_to_pair(camera: Camera, view: int, model: Model, geometries: Mappi
         length = float(np.median(lengths))
         agreeing = int((np.abs(lengths / length - 1) < SAME_LENGTH).sum())
         if agreeing >= max(MIN_SHARED, 0.5 * len(x)) and agreeing > most_agreeing:
-            best, most_agreeing = replace(camera, R=R, C=base.C + length * direction), agreeing
+            best = replace(camera, R=R, C=base.C + length * direction)
+            most_agreeing = agreeing
     return best
 
 
 def _with_own_lenses(model: Model) -> Model:
     """The model with a lens for each view instead of shared ones, if these differ clearly and lower the errors."""
     lens_of = _solved_lenses(model)
-    members = [[view for view, lens in lens_of.items() if lens == number] for number in set(lens_of.values())]
-    if all(len(views) == 1 for views in members):
+    members: dict[int, list[int]] = {}
+    for view, lens in lens_of.items():
+        members.setdefault(lens, []).append(view)
+    if all(len(views) == 1 for views in members.values()):
         return model
     model = refine(model, rounds=4, rough=True)
     separate = refine(replace(model, lenses={view: view for view in model.lenses}), rounds=4, rough=True)
     log_focal = {view: np.log(camera.K[0, 0]) for view, camera in separate.cameras.items()}
-    spread = max(np.ptp([log_focal[view] for view in views]) for views in members)
+    spread = max(np.ptp([log_focal[view] for view in views]) for views in members.values())
     gain = np.median(separate.error_px()[separate.use]) / np.median(model.error_px()[model.use])
-    return separate if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN else model
+    if spread > LENSES_DIFFER and gain < OWN_LENS_GAIN:
+        return separate
+    return model
 
 
 def _retriangulated(model: Model) -> Model:
@@ -346,23 +416,29 @@ def _retriangulated(model: Model) -> Model:
     all_posed = posed(model.cameras, tracks)
     X = triangulate(model.cameras, tracks, all_posed, 1.0)
     filtered = _filtered(replace(model, X=X, use=all_posed))
+    # again without the outliers; what fits the new points counts, whether it was an outlier of the first ones or not
     X = triangulate(model.cameras, tracks, filtered.use, 1.0)
     return _filtered(replace(model, X=X, use=all_posed))
 
 
 def _filtered(model: Model) -> Model:
     """The model with only observations that fit, and points that at least two of them see at an angle."""
-    tracks, error = model.tracks, model.error_px()
+    tracks = model.tracks
+    error = model.error_px()
     with np.errstate(invalid="ignore"):
-        use = model.use & (error < min(LOOSE_PX, max(NOISES * _noise(error[model.use]), 1e-9)))
-    wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
-    enough = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
-    use &= (wide & enough)[tracks.track]
-    X = np.where((wide & enough)[:, None], model.X, np.nan)
+        limit_px = min(LOOSE_PX, max(NOISES * _noise(error[model.use]), 1e-9))
+        use = model.use & (error < limit_px)
+    is_wide = angles(model.cameras, tracks, model.X, use) >= MIN_ANGLE
+    is_seen_twice = np.bincount(tracks.track[use], minlength=tracks.count) >= 2
+    is_good = is_wide & is_seen_twice
+    use &= is_good[tracks.track]
+    X = np.where(is_good[:, None], model.X, np.nan)
     return replace(model, X=X, use=use)
 
 
 def _noise(error: Float64s) -> float:
     """Standard deviation of one coordinate, from the median of errors below `LOOSE_PX` (Rayleigh)."""
     inlier_error = error[error < LOOSE_PX]
-    return float(np.median(inlier_error)) / RAYLEIGH if len(inlier_error) else LOOSE_PX
+    if not len(inlier_error):
+        return LOOSE_PX
+    return float(np.median(inlier_error)) / RAYLEIGH

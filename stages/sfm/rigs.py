@@ -15,7 +15,10 @@ def first_views(cameras: Mapping[int, Camera] | Mapping[int, View]) -> dict[int,
     first = {}
     for view in sorted(cameras):
         lens = cameras[view].lens
-        first[view] = first_of.setdefault(lens.camera, view) if lens and lens.camera else view
+        if lens and lens.camera:
+            first[view] = first_of.setdefault(lens.camera, view)
+        else:
+            first[view] = view
     return first
 
 
@@ -27,7 +30,9 @@ def rotation_between(lens1: Lens | None, lens2: Lens | None) -> Float64s:
 
 def camera_R(camera: Camera) -> Float64s:
     """(3, 3) rotation from world axes to those of the camera that a view belongs to; most views have their camera's own axes."""
-    return camera.R if camera.lens is None or camera.lens.turn is None else camera.lens.turn.T @ camera.R
+    if camera.lens is None or camera.lens.turn is None:
+        return camera.R
+    return camera.lens.turn.T @ camera.R
 
 
 def posed_by_sibling(unposed: Camera, cameras: Mapping[int, Camera]) -> Camera | None:

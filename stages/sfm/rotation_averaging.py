@@ -18,6 +18,11 @@ from ..types import Float64s, Int64s
 from .tracks import Edge
 
 ROUNDS = 40
+"""Most rounds of averaging: the first quarter with L1 weights, the others with Geman-McClure weights of a shrinking scale."""
+FIRST_SCALE_DEG = 30.0
+"""Scale of the Geman-McClure weights before the first round, degrees; each round shrinks it by a fifth."""
+LAST_SCALE_DEG = 3.0
+"""Smallest scale of the Geman-McClure weights, degrees: pairs that are off by more hardly count."""
 
 View = TypeVar("View", int, str)
 """A view by number or by id."""
@@ -34,16 +39,20 @@ def average_rotations(relative: Mapping[Edge, Float64s], weights: Mapping[Edge, 
     views = sorted(R)
     number = {view: k for k, view in enumerate(views)}
     edges = list(relative)
-    i = np.array([number[edge[0]] for edge in edges], np.int64)
-    j = np.array([number[edge[1]] for edge in edges], np.int64)
+    # positions of the two views of each pair in `views`
+    i = np.array([number[first] for first, _ in edges], np.int64)
+    j = np.array([number[second] for _, second in edges], np.int64)
     measured = np.array([relative[edge] for edge in edges]).reshape(-1, 3, 3)
     rotations = np.array([R[view] for view in views])
     for k in range(ROUNDS):
         # the rotation that remains for each pair, in the axes of its second view
         residuals = rotation_vector(measured @ rotations[i] @ np.swapaxes(rotations[j], 1, 2))
         angles = np.linalg.norm(residuals, axis=1)
-        scale = np.radians(max(3.0, 30.0 * 0.8**k))
-        weight = 1 / np.maximum(angles, np.radians(0.1)) if k < ROUNDS // 4 else (scale**2 / (scale**2 + angles**2)) ** 2
+        if k < ROUNDS // 4:
+            weight = 1 / np.maximum(angles, np.radians(0.1))  # bounded where a residual is almost 0
+        else:
+            scale = np.radians(max(LAST_SCALE_DEG, FIRST_SCALE_DEG * 0.8**k))
+            weight = (scale**2 / (scale**2 + angles**2)) ** 2
         steps = _least_squares(i, j, measured, residuals, weight, len(views))
         rotations = np.array([rotation_matrix(v) @ R_view for v, R_view in zip(steps, rotations, strict=True)])
         if np.abs(steps).max(initial=0) < 1e-10:
@@ -65,7 +74,7 @@ def rotations_along_tree(
     relative: `cam2_R_cam1` of each pair; weights: only their order matters.
     """
     graph = nx.Graph()
-    for a, b in sorted(relative):
+    for a, b in sorted(relative):  # so that equal weights always give the same tree
         graph.add_edge(a, b, weight=weights[a, b])
     tree = nx.maximum_spanning_tree(graph)
     world: dict[View, Float64s] = {}
@@ -74,14 +83,15 @@ def rotations_along_tree(
             continue
         world[root] = np.eye(3)
         for a, b in nx.bfs_edges(tree, root):
-            R = relative[a, b] if (a, b) in relative else relative[b, a].T
+            R = relative[a, b] if (a, b) in relative else relative[b, a].T  # the edge may be traversed backward
             world[b] = R @ world[a]
     return world
 
 
 def _least_squares(i: Int64s, j: Int64s, measured: Float64s, residuals: Float64s, weight: Float64s, count: int) -> Float64s:
     """(count, 3) small rotations of the views that best satisfy `step_j - measured step_i = residual`."""
-    H, g = np.zeros((count, 3, count, 3)), np.zeros((count, 3))
+    H = np.zeros((count, 3, count, 3))
+    g = np.zeros((count, 3))
     for a, b, M, r, w in zip(i, j, measured, residuals, weight, strict=True):
         H[a, :, a] += w * np.eye(3)
         H[b, :, b] += w * np.eye(3)

@@ -53,15 +53,23 @@ def build_tracks(geometries: Mapping[Edge, Geometry], views: int) -> Tracks:
 
     Keypoints of one view at the same place (several orientations) count as one, and so do other points within `SAME_PX`.
     """
+    if not geometries:
+        return Tracks(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 2)), 0)
+    # 1. Join the two nodes of each match, the most probable matches first.
     nodes, xy, view = _nodes(geometries, views)
-    ends = np.concatenate([np.column_stack(nodes[edge]) for edge in geometries] or [np.zeros((0, 2), np.int64)])
-    probability = np.concatenate([geometry.probability for geometry in geometries.values()] or [np.zeros(0, np.float32)])
-    order = np.argsort(-probability, kind="stable")
-    root = _join(ends[order], view, len(xy))
-    _, track, sizes = np.unique(root, return_inverse=True, return_counts=True)
-    rows = np.flatnonzero(sizes[track] >= 2)
-    _, track = np.unique(track[rows], return_inverse=True)
-    rows, track = rows[order := np.lexsort((view[rows], track))], track[order]
+    ends = np.concatenate([np.column_stack(nodes[edge]) for edge in geometries])
+    probability = np.concatenate([geometry.probability for geometry in geometries.values()])
+    root = _join(ends[np.argsort(-probability, kind="stable")], view, len(xy))
+
+    # 2. Keep sets of two nodes or more, and number them anew.
+    _, set_of_node, sizes = np.unique(root, return_inverse=True, return_counts=True)
+    rows = np.flatnonzero(sizes[set_of_node] >= 2)
+    _, track = np.unique(set_of_node[rows], return_inverse=True)
+
+    # 3. Sort by track, then by view.
+    order = np.lexsort((view[rows], track))
+    rows = rows[order]
+    track = track[order]
     return Tracks(track.astype(np.int32), view[rows].astype(np.int32), xy[rows], int(track.max(initial=-1)) + 1)
 
 
@@ -69,7 +77,9 @@ def spread_tracks(tracks: Tracks, use: Bools, wanted: int) -> Bools:
     """(count,) a subset of the tracks that still covers each view: where a field of a view has more than `wanted` observations,
     only tracks that another field needs remain.  Longest tracks first.
     """
-    low, high = tracks.xy.min(axis=0, initial=0), tracks.xy.max(axis=0, initial=1)
+    low = tracks.xy.min(axis=0, initial=0)
+    high = tracks.xy.max(axis=0, initial=1)
+    # one grid over all views, since the sizes of the images are not known here
     column, row = np.minimum(((tracks.xy - low) / (high - low) * FIELDS).astype(np.int64), np.array(FIELDS) - 1).T
     field = (tracks.view * FIELDS[1] + row) * FIELDS[0] + column
     length = np.bincount(tracks.track[use], minlength=tracks.count)
@@ -93,20 +103,27 @@ def _needed(order: Int64s, first: Int64s, field: Int64s, use: Bools, wanted: int
 def _nodes(geometries: Mapping[Edge, Geometry], views: int) -> tuple[dict[Edge, list[Int64s]], Float64s, Int64s]:
     """For each pair the node numbers of its matches in both images; pixels and view of each node."""
     nodes: dict[Edge, list[Int64s]] = {edge: [np.zeros(0, np.int64)] * 2 for edge in geometries}
-    positions, node_views, start = [np.zeros((0, 2))], [np.zeros(0, np.int64)], 0
+    positions = [np.zeros((0, 2))]
+    node_views = [np.zeros(0, np.int64)]
+    start = 0
     for view in range(views):
+        # the view's points in all its pairs, one pair after the other; side: 0 if it is the first of a pair, else 1
         sides = [(edge, edge.index(view)) for edge in geometries if view in edge]
         if not sides:
             continue
-        points = np.concatenate([(geometries[edge].x1, geometries[edge].x2)[side] for edge, side in sides])
+        points = np.concatenate([geometries[edge].x1 if side == 0 else geometries[edge].x2 for edge, side in sides])
         _, first_row, node = np.unique(np.round(points, 3), axis=0, return_index=True, return_inverse=True)
+        node = node.ravel()
         if any(geometries[edge].i1 is None for edge, _ in sides):
             kept_rows, merged_into = joined_places(points[first_row], SAME_PX)
-            first_row, node = first_row[kept_rows], merged_into[node.ravel()]
-        node = node.ravel() + start
+            first_row = first_row[kept_rows]
+            node = merged_into[node]
+        node = node + start
+        # hand each pair its part of the numbers
         for edge, side in sides:
-            n = len(geometries[edge].x1)
-            nodes[edge][side], node = node[:n], node[n:]
+            count = len(geometries[edge].x1)
+            nodes[edge][side] = node[:count]
+            node = node[count:]
         positions.append(points[first_row])
         node_views.append(np.full(len(first_row), view, np.int64))
         start += len(first_row)
@@ -151,6 +168,7 @@ def _join(ends: Int64s, view: Int64s, count: int) -> Int64s:
             b = parent[b]
         if a == b:
             continue
+        # two members of one view cannot be one point: walk both chains
         clash = False
         i = a
         while i >= 0 and not clash:
@@ -161,7 +179,7 @@ def _join(ends: Int64s, view: Int64s, count: int) -> Int64s:
             i = following[i]
         if not clash:
             if b < a:
-                a, b = b, a
+                a, b = b, a  # the smaller root stays, so that the result does not depend on the order within a match
             parent[b] = a
             following[last[a]] = b
             last[a] = last[b]

@@ -11,9 +11,10 @@ from ..core.jit import helper, kernel
 from ..types import Bools, Camera, Float64s, Int32s, Int64s
 from .tracks import Tracks
 
-POLISHING_STEPS, LEAST_STEP = 4, 1e-6
-"""Largest number of Gauss-Newton steps on the reprojection error after the linear solution, and the gain of a step, in squared
-pixels, below which no other follows."""
+POLISHING_STEPS = 4
+"""Largest number of Gauss-Newton steps on the reprojection error after the linear solution."""
+LEAST_STEP = 1e-6
+"""Gain of a Gauss-Newton step, in squared pixels, below which no other follows."""
 RAYLEIGH = 1.1774
 """Ratio of the median length of a 2-D normal error to the standard deviation of one coordinate."""
 PARALLEL = 1e-9
@@ -36,6 +37,7 @@ def triangulate(cameras: Mapping[int, Camera], tracks: Tracks, use: Bools, scale
     pixels_to_rays = np.zeros_like(KR)
     for view, camera in cameras.items():
         pixels_to_rays[view] = camera.R.T @ np.linalg.inv(camera.K)
+    # d: (n, 3) unit direction of each observation's ray in the world
     matrices = pixels_to_rays[tracks.view]
     d = np.einsum("nij,nj->ni", matrices[:, :, :2], tracks.xy) + matrices[:, :, 2]
     d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
@@ -65,6 +67,7 @@ def angles(cameras: Mapping[int, Camera], tracks: Tracks, X: Float64s, use: Bool
     track = tracks.track[rows]
     d = X[track] - _stacked(cameras, tracks)[1][tracks.view[rows]]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
+    # (count, 3) sum of the unit rays of each track: the direction of its mean ray
     total: Float64s = np.column_stack([np.bincount(track, np.nan_to_num(d[:, i]), tracks.count) for i in range(3)])
     widest = np.zeros(tracks.count)
     np.maximum.at(widest, track, np.nan_to_num(ray_angles(d, total[track])))
@@ -79,9 +82,11 @@ def posed(cameras: Mapping[int, Camera], tracks: Tracks) -> Bools:
 def _stacked(cameras: Mapping[int, Camera], tracks: Tracks) -> tuple[Float64s, Float64s]:
     """K R (views, 3, 3) and C (views, 3) by view number, zeros if there is no camera."""
     count = 1 + max(int(tracks.view.max(initial=-1)), max(cameras, default=-1))
-    KR, C = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    KR = np.zeros((count, 3, 3))
+    C = np.zeros((count, 3))
     for view, camera in cameras.items():
-        KR[view], C[view] = camera.K @ camera.R, camera.C
+        KR[view] = camera.K @ camera.R
+        C[view] = camera.C
     return KR, C
 
 
@@ -91,9 +96,15 @@ def _points(
 ) -> Float64s:
     """The points of `triangulate`, one after the other; the observations of track t are first[t] to first[t + 1]."""
     X = np.full((len(first) - 1, 3), np.nan)
-    H, g, J, step = np.zeros((3, 3)), np.zeros(3), np.zeros((2, 3)), np.zeros(3)
+    H = np.zeros((3, 3))
+    g = np.zeros(3)
+    J = np.zeros((2, 3))
+    step = np.zeros(3)
     for t in range(len(first) - 1):
-        H[:], g[:], count = 0, 0, 0
+        # the point nearest to all rays solves sum (I - d d^T) X = sum (I - d d^T) C
+        H[:] = 0
+        g[:] = 0
+        count = 0
         for k in range(first[t], first[t + 1]):
             if not use[k]:
                 continue
@@ -109,8 +120,10 @@ def _points(
         if count < 2 or _solve(H, g, step) < PARALLEL * count**2:
             continue
         X[t] = step
+        # Gauss-Newton steps on the weighted reprojection error, with a trace of damping
         for _ in range(POLISHING_STEPS):
-            H[:], g[:] = 0, 0
+            H[:] = 0
+            g[:] = 0
             for k in range(first[t], first[t + 1]):
                 if use[k]:
                     _add(KR[view[k]], C[view[k]], xy[k], X[t], scale_px, J, H, g)
@@ -129,16 +142,20 @@ def _points(
 @kernel
 def _add(KR: Float64s, C: Float64s, x: Float64s, X: Float64s, scale_px: float, J: Float64s, H: Float64s, g: Float64s) -> None:
     """Add one observation to the normal equations of its point, unless the point is behind the camera."""
-    px, py, pz = 0.0, 0.0, 0.0
+    px = 0.0
+    py = 0.0
+    pz = 0.0
     for i in range(3):
         px += KR[0, i] * (X[i] - C[i])
         py += KR[1, i] * (X[i] - C[i])
         pz += KR[2, i] * (X[i] - C[i])
     if not pz > 0:
         return
-    u, v = px / pz, py / pz
-    ru, rv = x[0] - u, x[1] - v
-    weight = 1 / (1 + (ru * ru + rv * rv) / scale_px**2)
+    u = px / pz
+    v = py / pz
+    ru = x[0] - u
+    rv = x[1] - v
+    weight = 1 / (1 + (ru * ru + rv * rv) / scale_px**2)  # Cauchy
     for i in range(3):
         J[0, i] = (KR[0, i] - u * KR[2, i]) / pz
         J[1, i] = (KR[1, i] - v * KR[2, i]) / pz
