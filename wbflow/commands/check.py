@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import difflib
 import importlib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from ..cache.atomic import free_bytes
 from ..cache.layout import WorkFolder
@@ -20,9 +22,12 @@ from ..records.run_folder import NoSuchRun, RunFolder
 from ..run.night import Night
 from ..run.options import Options
 from ..run.tonight import read_night
-from ..site.captures import CaptureFile, expected
+from ..site.captures import FEW_EXAMPLES, CaptureFile, expected, nights_with_captures, nothing_matches
 from ..site.models import Camera, Site
-from ..words import printable
+from ..site.plausibility import polygon_outside
+from ..site.stale_cameras import gap_of
+from ..site.yaml_document import Problem
+from ..words import counted, printable
 
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -52,10 +57,17 @@ class Fault:
 
 def check(site: Site, date: datetime.date | None) -> list[Fault]:
     """Find everything that would spoil a run, or part of one."""
+    doubts = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
     machine = check_machine()
     if machine:
-        return machine + _disk(site)
-    return [*check_captures(site, read_night(site, Options(date))), *_disk(site), *check_published(site.work_folder)]
+        return doubts + machine + _disk(site)
+    night = read_night(site, Options(date))
+    return [*doubts, *check_captures(site, night), *_disk(site), *check_published(site.work_folder)]
+
+
+def _headed(problem: Problem) -> str:
+    """A problem with its place, and without its remedy."""
+    return str(dataclasses.replace(problem, remedy=""))
 
 
 def exit_code(findings: Iterable[Fault]) -> ExitCode:
@@ -64,11 +76,14 @@ def exit_code(findings: Iterable[Fault]) -> ExitCode:
 
 
 def check_captures(site: Site, night: Night) -> list[Fault]:
-    """Does each camera have captures, all readable and of the size that its intrinsics are for?"""
+    """Does each camera have captures, all readable, and of the size of each other, of its intrinsics, mask and polygons?"""
     faults = []
     if len(site.cameras) < 2:
         what = f"{site.file}: {len(site.cameras)} camera: a cloud needs two or more that see the same things"
         faults.append(Fault("error", what, "list the others under cameras:", ExitCode.FAILED))
+    if not any(night.files.captures.values()):
+        what = f"{site.file}: no camera has a capture: {nothing_matches(site, night.date)}"
+        return [*faults, Fault("error", what, _remedy_of_nothing(site, night.date), ExitCode.FAILED)]
     for number, camera in enumerate(site.cameras):
         line, column = site.document.place(("cameras", number))
         where = f"{site.file}:{line}:{column}: camera {camera.id}"
@@ -76,17 +91,67 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
         if not files:
             what = f"{where}: there is no capture {expected(site, camera, night.date)}"
             faults.append(Fault("error", what, _remedy_of_missing(site, camera), ExitCode.DEGRADED))
+        sizes: dict[str, tuple[int, int]] = {}
         for file in files:
             try:
-                width, height = _size_of(file)
+                sizes[file.name] = _size_of(file)
             except (ValueError, OSError) as error:
                 faults.append(Fault("error", f"{where}: {error}", "the run continues without it", ExitCode.DEGRADED))
-                continue
-            lens = camera.lens
-            if lens.width and (width, height) != (lens.width, lens.height):
-                what = f"{where}: {file.name} is {width}x{height}, its intrinsics are for {lens.width}x{lens.height}"
-                faults.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
+        faults += _faults_of_sizes(where, camera, sizes)
+        gap = gap_of(site, camera.id, files)
+        if gap is not None:
+            remedy = "give the night's captures a pattern of their own, or a folder of their own"
+            faults.append(Fault("warning", f"{where}: {gap}", remedy, ExitCode.GOOD))
     return faults
+
+
+def _faults_of_sizes(where: str, camera: Camera, sizes: dict[str, tuple[int, int]]) -> list[Fault]:
+    """Captures, mask and privacy polygons that do not go together.  sizes: width and height by capture."""
+    if not sizes:
+        return []
+    faults = []
+    ordered = list(sizes.values())
+    width, height = max(reversed(ordered), key=ordered.count)  # of equally common sizes the latest, as the stage frames takes it
+    for name, size in sizes.items():
+        if size != (width, height):
+            what = f"{where}: {name} is {size[0]}x{size[1]}, its other captures are {width}x{height}: it is left out"
+            remedy = (
+                "thumbnails and pictures of other sizes belong elsewhere; or change captures.pattern so that it leaves them out"
+            )
+            faults.append(Fault("warning", what, remedy, ExitCode.GOOD))
+    lens = camera.lens
+    if lens.width and (width, height) != (lens.width, lens.height):
+        name = next(name for name, size in sizes.items() if size == (width, height))
+        what = f"{where}: {name} is {width}x{height}, its intrinsics are for {lens.width}x{lens.height}"
+        faults.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
+    for polygon in camera.privacy if not lens.width else ():  # with a lens, loading the site has checked them
+        if outside := polygon_outside(polygon, (width, height)):
+            remedy = "corners are pixels of a capture, x before y, or shares of its width and height"
+            faults.append(Fault("error", f"{where}: privacy: {outside}", remedy, ExitCode.DEGRADED))
+    if camera.mask is not None:
+        faults += _faults_of_mask(where, camera.mask, width, height)
+    return faults
+
+
+def _faults_of_mask(where: str, mask: Path, width: int, height: int) -> list[Fault]:
+    try:
+        data = _bytes_of(mask)
+        decoded = load("wbflow_stages.capture.files:decoded_mask")(f"mask {mask.name}", data)
+    except (ValueError, OSError) as error:
+        return [Fault("error", f"{where}: {error}", "make it anew, e.g. with wbflow edit", ExitCode.DEGRADED)]
+    if decoded.shape == (height, width):
+        return []
+    what = f"{where}: mask {mask.name} is {decoded.shape[1]}x{decoded.shape[0]}, its captures are {width}x{height}"
+    return [Fault("error", what, "make a mask of the captures' size, e.g. with wbflow edit", ExitCode.DEGRADED)]
+
+
+def _remedy_of_nothing(site: Site, date: datetime.date) -> str:
+    """What to do if there is no capture at all: another night may have some."""
+    nights = sorted(nights_with_captures(site)) if site.captures.dated else []
+    if nights:
+        shown = ", ".join(map(str, nights[-FEW_EXAMPLES:]))
+        return f"there are captures of {counted(len(nights), 'other night')}, the last {shown}: --date {nights[-1]}"
+    return "check captures.root and pattern: {camera} stands for the id, {date:%Y-%m-%d} for the night"
 
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
@@ -95,18 +160,25 @@ def _remedy_of_missing(site: Site, camera: Camera) -> str:
     similar = difflib.get_close_matches(camera.id, capture_names, 1)
     if similar:
         return f"did you mean {printable(similar[0])!r}? There are captures of it"
+    if camera.images is None and capture_names:
+        return f"there are captures of {', '.join(sorted(map(printable, capture_names))[:FEW_EXAMPLES])}"
     return "check captures.root and pattern, or the camera itself"
 
 
 def _size_of(file: CaptureFile) -> tuple[int, int]:
     """(width, height) of a capture as it would be used.  Raises ValueError, OSError if it cannot be."""
-    import numpy as np
-
     if not file.digest:
         raise ValueError(f"{file.name} {file.fault}")
-    capture = load(SITE_TYPES["captures"])(file.name, np.frombuffer(read_untrusted(file.path), dtype=np.uint8))
+    capture = load(SITE_TYPES["captures"])(file.name, _bytes_of(file.path))
     image = load("wbflow_stages.capture.video:one_picture")(capture)
     return image.shape[1], image.shape[0]
+
+
+def _bytes_of(path: Path) -> Any:
+    """The bytes of a file as an array (n,) uint8.  Raises Unreadable."""
+    import numpy as np
+
+    return np.frombuffer(read_untrusted(path), dtype=np.uint8)
 
 
 def check_machine() -> list[Fault]:

@@ -61,7 +61,7 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
                 journal.upload = mirror.upload_finding
             if warning:
                 journal.warn(warning, remedy="give each site file a work folder of its own (work: FOLDER)")
-            for note in site.notes:
+            for note in (*site.notes, *site.doubts):
                 journal.warn(str(dataclasses.replace(note, remedy="")), remedy=note.remedy)
             repair_ledger(work, journal)
             # from here on: plan, restore, work, publish, follow up

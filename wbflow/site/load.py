@@ -24,6 +24,7 @@ from .cameras import read_cameras, read_survey, views_of
 from .geodesy import POSITION_REMEDY, local_frame
 from .models import CUSTOM, Captures, Site, SiteFile
 from .pattern import Pattern
+from .plausibility import check_plausibility
 from .stage_settings import read_stages
 from .yaml_document import Document, Location, Problem, Problems, SiteError, is_name, load_yaml, resolve_path, similar, suggest
 
@@ -53,6 +54,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
     stages, notes = read_stages(file.stages, reader, problems)
     _check_pairs(file, problems, notes)
+    doubts = check_plausibility(file, cameras, stages, reader, problems)
     captures = _captures_pattern(file.captures, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
@@ -70,6 +72,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
         work_folder,
         reader,
         tuple(notes.found),
+        tuple(doubts.found),
     )
 
 

@@ -477,6 +477,8 @@ class Site:
     reader: FunctionReader
     notes: tuple[Problem, ...]
     """Remarks about entries that still work but should be written differently."""
+    doubts: tuple[Problem, ...] = ()
+    """Values that are hardly meant (`plausibility.py`)."""
 
     @property
     def name(self) -> str:
