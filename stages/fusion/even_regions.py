@@ -15,9 +15,11 @@ from .surface_support import surroundings_px
 _MOST_DETAIL = 1.0
 """A pixel is even if its grey levels differ from the mean of 3 x 3 pixels (root mean square) by less than this plus a quarter of
 the noise left in the frame: it shows nothing, or only shading."""
+
 _LEAST_FILLED = 0.5
-"""Smallest share of a large even region that must have a depth from pairs for its depths to be used.  Skies above houses, a car
-park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads without texture 0 to 0.02."""
+"""Smallest share of a large even region that must have a depth from pairs for its depths to be used.  Measured: skies above
+houses, a car park and a stadium reach 0 to 0.25, nearly all walls and lawns there 0.54 to 1, cars and roads without texture 0 to
+0.02."""
 
 
 def usable_pixels(frame: Frame, depth: DepthMap) -> Bools:
@@ -27,6 +29,7 @@ def usable_pixels(frame: Frame, depth: DepthMap) -> Bools:
     """
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))
+    # the noise that is left adds to the detail
     even = (detail < (_MOST_DETAIL + 0.25 * frame.noise_left) ** 2) & frame.mask
     region_count, region = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
     pixels = np.bincount(region.ravel())

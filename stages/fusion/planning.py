@@ -12,6 +12,22 @@ from ..core.cameras import same_camera, transfer
 from ..types import Camera, DepthMap, Float32s, Float64s, Frame, Uint8s
 
 STEP = 4
+"""Pixels for each sample of a subsampled view, in both directions."""
+
+_LEAST_SHARED = 0.01
+"""Smallest share of a view's surface that another must see to be compared with it."""
+
+_FEWEST_COMPARED = 50
+"""Fewest pixels from which the ratio of two cameras' exposures is measured."""
+
+_MOST_WEIGHED = 1000
+"""Pixels beyond this number do not raise the weight of a ratio: the cameras then differ by more than noise."""
+
+_SAME_DEPTH = 0.01
+"""Relative difference up to which two views' depths are of one surface."""
+
+_PREFERRED_STEPS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
+"""Renard's series R10: ten steps to a decade."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +51,8 @@ def subsample(frame: Frame, depth: DepthMap) -> Subsampled:
     """A view on every 4th pixel."""
     h, w = frame.image.shape[:2]
     colors = cv2.resize(frame.image, (max(1, w // STEP), max(1, h // STEP)), interpolation=cv2.INTER_AREA)
-    centres = slice(STEP // 2, None, STEP), slice(STEP // 2, None, STEP)
-    return Subsampled(np.asarray(colors, dtype=np.uint8), depth.depth[centres].copy())
+    centre_depth = depth.depth[STEP // 2 :: STEP, STEP // 2 :: STEP].copy()  # a view of the array would keep all of it in memory
+    return Subsampled(np.asarray(colors, dtype=np.uint8), centre_depth)
 
 
 def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, Subsampled], count: int) -> list[str]:
@@ -55,14 +71,17 @@ def nearest_views(name: str, cameras: Mapping[str, Camera], small: Mapping[str, 
     for other in cameras:
         if other == name or same_camera(cameras[name], cameras[other]):  # no independent view
             continue
-        M, b = transfer(cameras[name], cameras[other])
+        camera = cameras[other]
+        M, b = transfer(cameras[name], camera)
         with np.errstate(divide="ignore", invalid="ignore"):
             p = z * (pixels @ M.T) + b
-            u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-        inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= cameras[other].width - 1) & (v <= cameras[other].height - 1)
+            u = p[:, 0] / p[:, 2]
+            v = p[:, 1] / p[:, 2]
+        inside = (p[:, 2] > 0) & (u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)
         shares.append((float(inside.mean()), other))
+    # the sort is stable: of equal shares, the order of the cameras decides
     shares.sort(key=lambda entry: -entry[0])
-    return [other for share, other in shares[:count] if share >= 0.01]
+    return [other for share, other in shares[:count] if share >= _LEAST_SHARED]
 
 
 def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]) -> float:
@@ -71,14 +90,14 @@ def natural_voxel(cameras: Mapping[str, Camera], small: Mapping[str, Subsampled]
     It is rounded down to a preferred number, so that the grid stays the same when cameras fail or surfaces change from night to
     night.
     """
-    edges = [(view.depth / cameras[name].K[0, 0])[1::2, 1::2].ravel() for name, view in small.items()]
+    edges = []
+    for name, view in small.items():
+        footprint = view.depth / cameras[name].K[0, 0]
+        edges.append(footprint[1::2, 1::2].ravel())
     median = float(np.nanmedian(np.concatenate(edges)))
     decade = 10.0 ** np.floor(np.log10(median))
-    return float(decade * max(step for step in _PREFERRED_STEPS if step <= max(median / decade, 1.0)))
-
-
-_PREFERRED_STEPS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0)
-"""Renard's series R10: ten steps to a decade."""
+    steps_below = [step for step in _PREFERRED_STEPS if step <= max(median / decade, 1.0)]
+    return float(decade * max(steps_below))
 
 
 def exposure_gains(
@@ -88,19 +107,25 @@ def exposure_gains(
 
     The ratio of two cameras is the median over pixels whose depths agree.  The gains fit all ratios by least squares; a camera
     without ratios has gain one."""
+    # 1. One equation for each two cameras with a ratio: log gain of one, minus that of the other, is minus their log ratio.
     names = list(small)
-    rows, ratios, weights = [], [], []
+    rows = []
+    ratios = []
+    weights = []
     for i, name in enumerate(names):
         for other in neighbours[name]:
             ratio, count = _ratio(cameras[name], cameras[other], small[name], small[other])
-            if count >= 50:
+            if count >= _FEWEST_COMPARED:
                 row = np.zeros(len(names))
-                row[i], row[names.index(other)] = 1.0, -1.0
+                row[i] = 1.0
+                row[names.index(other)] = -1.0
                 rows.append(row)
                 ratios.append(ratio)
-                weights.append(np.sqrt(min(count, 1000)))
+                weights.append(np.sqrt(min(count, _MOST_WEIGHED)))
     if not rows:
         return {name: np.ones(3) for name in names}
+
+    # 2. Weighted least squares for all three colours at once.
     w = np.array(weights)[:, None]
     prior = 0.1 * np.eye(len(names))  # ties each set of connected cameras to a mean gain of one
     right_side = np.vstack([-np.array(ratios) * w, np.zeros((len(names), 3))])
@@ -116,11 +141,15 @@ def _ratio(camera: Camera, other: Camera, view1: Subsampled, view2: Subsampled) 
     with np.errstate(divide="ignore", invalid="ignore"):
         xy2 = p[:, :2] / p[:, 2:]
     inside = (p[:, 2] > 0) & (xy2 >= 0).all(axis=1) & (xy2 < [other.width - 1, other.height - 1]).all(axis=1)
-    pixels, xy2, z2 = pixels[inside], xy2[inside], p[inside, 2]
-    agrees = np.abs(_values(view2.depth, xy2) - z2) < 0.01 * z2
-    rgb1, rgb2 = (_values(colors, x[agrees]).astype(np.float64) for colors, x in ((view1.colors, pixels), (view2.colors, xy2)))
+    pixels = pixels[inside]
+    xy2 = xy2[inside]
+    z2 = p[inside, 2]
+    agrees = np.abs(_values(view2.depth, xy2) - z2) < _SAME_DEPTH * z2
+    rgb1 = _values(view1.colors, pixels[agrees]).astype(np.float64)
+    rgb2 = _values(view2.colors, xy2[agrees]).astype(np.float64)
+    # neither nearly black nor clipped: there, the ratio of grey levels is not that of exposures
     usable = ((rgb1 > 10) & (rgb1 < 245) & (rgb2 > 10) & (rgb2 < 245)).all(axis=1)
-    if usable.sum() < 50:
+    if usable.sum() < _FEWEST_COMPARED:
         return np.zeros(3), 0
     return np.median(np.log(rgb1[usable] / rgb2[usable]), axis=0), int(usable.sum())
 

@@ -51,10 +51,15 @@ def most_probable(probabilities: Float32s, correct_share: float) -> Bools:
     """
     ranked = np.sort(probabilities)[::-1]
     expected = np.cumsum(ranked, dtype=np.float64) / np.arange(1, len(ranked) + 1)
-    count, fewest = int((expected >= correct_share).sum()), int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
+    # expected[k]: expected share of right points if the k + 1 most probable ones are kept; it falls with k
+    count = int((expected >= correct_share).sum())
+    fewest = int(np.ceil((1 - _MOST_LEFT_OUT) * len(ranked)))
     if count == len(ranked):
         return np.ones(len(probabilities), np.bool_)
-    return np.asarray(probabilities > ranked[count] if count >= fewest else probabilities >= ranked[fewest - 1])
+    # points of equal probability go, or stay, together: the answer must not depend on their order
+    if count >= fewest:
+        return np.asarray(probabilities > ranked[count])
+    return np.asarray(probabilities >= ranked[fewest - 1])
 
 
 def own_logit(depth: DepthMap, usable: Bools) -> Float32s:
@@ -90,6 +95,7 @@ def posterior(view: TrustedDepth, check: CrossCheck) -> Float32s:
     """
     known = view.frame.mask & np.isfinite(view.depth.depth) & (check.pairs > 0)
     logit = _logit(_OTHERS, [view.own_logit, *evidence_of_others(check)], known)
+    # by now, each depth has a probability, which weighs it as a neighbour of others
     surroundings = surface_support(view.depth, known, probability(logit))
     return probability(_logit(_AROUND, [logit, surroundings, noisiness(view.frame)], known))
 
@@ -117,6 +123,7 @@ def noisiness(frame: Frame) -> Float32s:
     Where it is high, a patch shows little but noise, and matches somewhere by chance.
     """
     grey = luminance(frame.image)
+    # E[g^2] - E[g]^2 can be slightly negative in single precision, hence the lower limit
     side = 2 * _PATCH_PX * spacing_px(grey.shape) + 1
     mean = cv2.blur(grey, (side, side))
     variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_ROUNDING_VARIANCE))

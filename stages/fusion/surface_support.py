@@ -7,8 +7,11 @@ import numpy as np
 from ..core.jit import kernel
 from ..types import Bools, DepthMap, Float32s
 
-_REACH, _STRIDE = 6, 2
-"""Reach of the neighbourhood and distance between its samples, in pixels of an image 768 wide; scaled for larger ones."""
+_REACH = 6
+"""Reach of the neighbourhood, in pixels of an image 768 wide; scaled for larger ones."""
+
+_STRIDE = 2
+"""Distance between its samples, likewise: neighbouring pixels were matched on nearly the same patch."""
 
 
 def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = None) -> Float32s:
@@ -21,7 +24,9 @@ def surface_support(depth: DepthMap, usable: Bools, weight: Float32s | None = No
     inverse = np.where(usable, 1.0 / depth.depth, np.float32(np.nan)).astype(np.float32)
     relative = (depth.sigma / depth.depth).astype(np.float32)
     share = np.zeros(usable.shape, np.float32)
-    weights = usable.astype(np.float32) if weight is None else weight
+    weights = weight
+    if weights is None:
+        weights = usable.astype(np.float32)
     _sum_support(inverse, weights, depth.slope_x, depth.slope_y, relative, spacing * _REACH, spacing * _STRIDE, share)
     return share
 
@@ -41,6 +46,7 @@ def _sum_support(
     inverse: Float32s, weight: Float32s, slope_x: Float32s, slope_y: Float32s, relative: Float32s, reach: int, stride: int,
     share: Float32s,
 ) -> None:  # fmt: skip
+    """Write the share (h, w), initially 0; loops over a row's pixels are innermost, so that the compiler can vectorise them."""
     h, w = inverse.shape
     neighbours = np.float32((2 * (reach // stride) + 1) ** 2 - 1)
     for y in range(h):
@@ -50,11 +56,18 @@ def _sum_support(
             for dx in range(-reach, reach + 1, stride):
                 if dx == 0 and dy == 0:
                     continue
-                first, last = max(0, -dx), min(w, w - dx)
-                neighbour, neighbour_weight = inverse[y + dy, first + dx :], weight[y + dy, first + dx :]
-                centre, a, b = inverse[y, first:], slope_x[y, first:], slope_y[y, first:]
-                sigma, total = relative[y, first:], share[y, first:]
-                fx, fy = np.float32(dx), np.float32(dy)
+                # the pixels of the row whose neighbours are in the image
+                first = max(0, -dx)
+                last = min(w, w - dx)
+                neighbour = inverse[y + dy, first + dx :]
+                neighbour_weight = weight[y + dy, first + dx :]
+                centre = inverse[y, first:]
+                a = slope_x[y, first:]
+                b = slope_y[y, first:]
+                sigma = relative[y, first:]
+                total = share[y, first:]
+                fx = np.float32(dx)
+                fy = np.float32(dy)
                 for x in range(last - first):
                     tolerance = min(np.float32(3.0) * sigma[x] + np.float32(0.002), np.float32(0.016)) * centre[x]
                     on_plane = abs(neighbour[x] - centre[x] - a[x] * fx - b[x] * fy) <= tolerance  # False where either is nan

@@ -51,17 +51,27 @@ def probability(logit: Float32s) -> Float32s:
         return np.asarray(1.0 / (1.0 + np.exp(-logit)), dtype=np.float32)
 
 
+_SIGMAS = 3.0
+"""Combined standard deviations up to which two views' depths agree."""
+
 _UNCOUNTED = 255
 """Number given to all pairs beyond the first 255; they are not counted."""
+
 _SAME_SURFACE = 0.016
 """Largest relative difference of depths on one surface: views that differ by more never agree, whatever their sigmas."""
+
 _FLOOR = 0.0007
 """Relative standard deviation of the difference between two views' depths, in addition to their sigmas."""
+
 ITSELF = 255
+"""`CrossCheck.nearest` where no other camera is nearer than the view's own."""
+
 _MOST_TRUST = np.float32(0.995)
 """Upper limit of the probability that another view's depth is right."""
+
 _ROOT_2_PI = 2.5066
 """Square root of 2 pi, by which the normal density is divided, besides its standard deviation."""
+
 _LEAST_GAP = 0.1
 """Lower limit of the distance between two views' surfaces over the expected one: smaller distances are due to chance."""
 
@@ -86,40 +96,86 @@ def cross_check(
     cameras : cameras of all these views.
     view_of : loads a view's depth; called once for each view.
     """
-    camera, own_view = cameras[name], view_of(name)
-    own, shape = own_view.depth, own_view.depth.depth.shape
+    camera = cameras[name]
+    own_view = view_of(name)
+    own = own_view.depth
+    shape = own.depth.shape
     numbers: dict[tuple[str, ...], int] = {}
     _pair_numbers(name, own, numbers)  # a view's own pairs come first: their numbers are those of the bits of `support`
-    pairs = own.support.astype(np.uint64)[None]
-    pair_count, agreeing = (np.zeros(shape, np.uint8) for _ in range(2))
-    opposing, colours, log_gap_sum, least_extra = (np.zeros(shape, np.float32) for _ in range(4))
-    camera_count, nearest = np.zeros(shape, np.uint16), np.full(shape, ITSELF, np.uint8)
-    check = CrossCheck(pair_count, camera_count, agreeing, opposing, colours, log_gap_sum, nearest)
+    pairs = own.support.astype(np.uint64)[None]  # (words, h, w), 64 pairs in each word
+    least_extra = np.zeros(shape, np.float32)
+    check = CrossCheck(
+        pairs=np.zeros(shape, np.uint8),
+        cameras=np.zeros(shape, np.uint16),
+        agreeing=np.zeros(shape, np.uint8),
+        opposing=np.zeros(shape, np.float32),
+        colours=np.zeros(shape, np.float32),
+        log_gap_sum=np.zeros(shape, np.float32),
+        nearest=np.full(shape, ITSELF, np.uint8),
+    )
     for k, other in enumerate(others):
         view = view_of(other)
-        partner_pairs = _pair_numbers(other, view.depth, numbers)
-        words = -(-min(len(numbers), _UNCOUNTED) // 64)
+        partner = _partner(k, (name, camera), (other, cameras[other]), view, numbers)
+        words = -(-min(len(numbers), _UNCOUNTED) // 64)  # rounded up
         if words > len(pairs):
             pairs = np.concatenate([pairs, np.zeros((words - len(pairs), *shape), np.uint64)])
-        M, b = transfer(camera, cameras[other])
-        baseline = camera.R @ (cameras[other].C - camera.C)
-        partner = _Partner(
-            *(M, b, view.depth.depth, view.depth.slope_x, view.depth.slope_y, view.depth.sigma, view.depth.support),
-            trust=probability(view.own_logit),
-            pair_numbers=partner_pairs,
-            common_pair=min(numbers.get(tuple(sorted((name, other))), _UNCOUNTED), _UNCOUNTED),
-            number=min(k, ITSELF),
-            farther_by=np.append(2.0 * np.linalg.solve(camera.K.T, baseline), baseline @ baseline),
-        )
-        seen, agrees = np.full(shape, -1, np.int32), np.zeros(shape, np.bool_)
+
+        # 1. Depths: what agrees, what looks through the point, and where the other view shows it.
+        seen = np.full(shape, -1, np.int32)
+        agrees = np.zeros(shape, np.bool_)
         _compare(own.depth, own.sigma, partner, check, pairs, least_extra, seen, agrees)
+
+        # 2. Colours, wherever the point is in the other frame with nothing in front of it.
         points = np.flatnonzero((seen >= 0) & view.frame.mask.ravel()[seen])
-        rgb1, rgb2 = own_view.frame.image.reshape(-1, 3)[points], view.frame.image.reshape(-1, 3)[seen.ravel()[points]]
-        check.colours.ravel()[points] += colour_evidence(rgb1, rgb2, agrees.ravel()[points])
-    camera_numbers: dict[str, int] = {}
-    pair_cameras = [[camera_numbers.setdefault(end, len(camera_numbers)) for end in two] for two in [*numbers][:_UNCOUNTED]]
-    _count_pairs_and_cameras(pairs, np.array(pair_cameras, np.uint16).reshape(-1, 2), check.pairs, check.cameras)
+        own_rgb = own_view.frame.image.reshape(-1, 3)[points]
+        other_rgb = view.frame.image.reshape(-1, 3)[seen.ravel()[points]]
+        check.colours.ravel()[points] += colour_evidence(own_rgb, other_rgb, agrees.ravel()[points])
+    _count_pairs_and_cameras(pairs, _camera_numbers(list(numbers)[:_UNCOUNTED]), check.pairs, check.cameras)
     return check
+
+
+def _partner(
+    number: int, own: tuple[str, Camera], other: tuple[str, Camera], view: TrustedDepth, numbers: dict[tuple[str, ...], int]
+) -> _Partner:
+    """Another view, prepared for the comparison; its pairs get numbers.
+
+    Parameters
+    ----------
+    number : its place among the other views.
+    own, other : ids and cameras of the compared view, and of the other.
+    view : depth of the other view.
+    numbers : numbers of the pairs so far; changed.
+    """
+    own_name, camera = own
+    other_name, other_camera = other
+    pair_numbers = _pair_numbers(other_name, view.depth, numbers)
+    common_pair = numbers.get(tuple(sorted((own_name, other_name))), _UNCOUNTED)
+    M, b = transfer(camera, other_camera)
+    # squared distances of a point X = C + z R' K^-1 p: |X - C_other|^2 - |X - C|^2 = |c|^2 - 2 z c' K^-1 p, with the baseline c
+    baseline = camera.R @ (other_camera.C - camera.C)
+    return _Partner(
+        M=M,
+        b=b,
+        depth=view.depth.depth,
+        slope_x=view.depth.slope_x,
+        slope_y=view.depth.slope_y,
+        sigma=view.depth.sigma,
+        support=view.depth.support,
+        trust=probability(view.own_logit),
+        pair_numbers=pair_numbers,
+        common_pair=min(common_pair, _UNCOUNTED),
+        number=min(number, ITSELF),
+        farther_by=np.append(2.0 * np.linalg.solve(camera.K.T, baseline), baseline @ baseline),
+    )
+
+
+def _camera_numbers(pairs: Sequence[tuple[str, ...]]) -> Uint16s:
+    """(n, 2) numbers of the cameras of n pairs, in order of first occurrence."""
+    numbers: dict[str, int] = {}
+    pair_cameras = []
+    for pair in pairs:
+        pair_cameras.append([numbers.setdefault(camera, len(numbers)) for camera in pair])
+    return np.array(pair_cameras, np.uint16).reshape(-1, 2)
 
 
 def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int]) -> Uint8s:
@@ -127,8 +183,12 @@ def _pair_numbers(view: str, depth: DepthMap, numbers: dict[tuple[str, ...], int
 
     Seventeen views with 32 pairs each could have twice as many pairs, but a point with more than a hundred needs no more.
     """
-    pairs = (tuple(sorted((view, partner))) for partner in depth.partners)
-    return np.array([min(numbers.setdefault(pair, len(numbers)), _UNCOUNTED) for pair in pairs], np.uint8)
+    own_numbers = []
+    for partner in depth.partners:
+        pair = tuple(sorted((view, partner)))
+        number = numbers.setdefault(pair, len(numbers))
+        own_numbers.append(min(number, _UNCOUNTED))
+    return np.array(own_numbers, np.uint8)
 
 
 class _Partner(NamedTuple):
@@ -165,59 +225,86 @@ def _compare(
     seen: Int32s,
     agrees: Bools,
 ) -> None:
-    """Add one partner to the check of a view's depth and sigma (h, w).
+    """Add one partner to the check of a view.
 
-    pairs: (words, h, w), bit k of word m is set where pair number 64 m + k supports the depth; least_extra: (h, w), a point's
-    squared distance to the nearest camera so far, minus that to the view's own; seen, agrees: (h, w), set to the index of the
-    partner's pixel that shows the point, unless something is in front of it, and to whether the partner's depth agrees.
+    Parameters
+    ----------
+    depth, sigma : (h, w) of the view.
+    other, check : the partner, and the check of the view so far.
+    pairs : (words, h, w), bit k of word m is set where pair number 64 m + k supports the depth.
+    least_extra : (h, w) a point's squared distance to the nearest camera so far, minus that to the view's own.
+    seen : (h, w) set to the index of the partner's pixel that shows the point, unless something is in front of it.
+    agrees : (h, w) set to whether the partner's depth agrees.
     """
     h, w = depth.shape
     other_h, other_w = other.depth.shape
-    M, b0, b1, b2 = other.M, other.b[0], other.b[1], other.b[2]
-    m00, m01, m02, m10, m11, m12, m20, m21, m22 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
-    is_counted = other.common_pair < _UNCOUNTED
-    common = np.uint64(1) << np.uint64(other.common_pair % 64) if is_counted else np.uint64(0)
-    common_word = other.common_pair // 64 if is_counted else 0
+    # scalars, which the compiler keeps in registers
+    M = other.M
+    m00, m01, m02 = M[0, 0], M[0, 1], M[0, 2]
+    m10, m11, m12 = M[1, 0], M[1, 1], M[1, 2]
+    m20, m21, m22 = M[2, 0], M[2, 1], M[2, 2]
+    b0, b1, b2 = other.b[0], other.b[1], other.b[2]
+    # the bit of the pair of both views, and its word; no bit if it is not counted
+    common = np.uint64(0)
+    common_word = 0
+    if other.common_pair < _UNCOUNTED:
+        common = np.uint64(1) << np.uint64(other.common_pair % 64)
+        common_word = other.common_pair // 64
     for y in range(h):
         for x in range(w):
             own = depth[y, x]
             if np.isnan(own):
                 continue
-            ray0, ray1, ray2 = m00 * x + m01 * y + m02, m10 * x + m11 * y + m12, m20 * x + m21 * y + m22
+            # 1. Where does the other view show the point, and at what depth?
+            ray0 = m00 * x + m01 * y + m02
+            ray1 = m10 * x + m11 * y + m12
+            ray2 = m20 * x + m21 * y + m22
             z = own * ray2 + b2
             if not z > 0:
                 continue
-            u, v = (own * ray0 + b0) / z, (own * ray1 + b1) / z
+            u = (own * ray0 + b0) / z
+            v = (own * ray1 + b1) / z
             if not (u > -0.5 and v > -0.5 and u < other_w - 0.5 and v < other_h - 0.5):
                 continue
-            i, j = int(u + 0.5), int(v + 0.5)
+            i = int(u + 0.5)
+            j = int(v + 0.5)
             seen[y, x] = j * other_w + i
+
+            # 2. Is the other view's surface, extended to the exact position, in front of the point?
             if np.isnan(other.depth[j, i]):
                 continue
-            slope_x, slope_y = other.slope_x[j, i], other.slope_y[j, i]
+            slope_x = other.slope_x[j, i]
+            slope_y = other.slope_y[j, i]
             surface_z = 1.0 / (1.0 / other.depth[j, i] + slope_x * (u - i) + slope_y * (v - j))
             sigma_z = np.sqrt(sigma[y, x] ** 2 + other.sigma[j, i] ** 2) + _FLOOR * z
-            tolerance = min(3.0 * sigma_z, _SAME_SURFACE * z)
+            tolerance = min(_SIGMAS * sigma_z, _SAME_SURFACE * z)
             if surface_z < z - tolerance:  # the point is hidden there, so the pair with that view cannot support it
                 pairs[common_word, y, x] &= ~common
                 seen[y, x] = -1
                 continue
-            trust, deviation = min(other.trust[j, i], _MOST_TRUST), (surface_z - z) / sigma_z
+
+            # 3. How likely is its depth if the point is right, relative to wrong?  (See `cross_check`; only doubts count here.)
+            trust = min(other.trust[j, i], _MOST_TRUST)
+            deviation = (surface_z - z) / sigma_z
             likelihood = 1.0 - trust + trust * z / (_ROOT_2_PI * sigma_z) * np.exp(-0.5 * deviation * deviation)
             check.opposing[y, x] += min(np.float32(np.log(likelihood)), np.float32(0.0))
             if surface_z > z + tolerance:  # the other view looks through the point
                 continue
+
+            # 4. The depths agree.  How far apart are the surfaces along this view's ray, relative to the expected distance?
             check.agreeing[y, x] += 1
             agrees[y, x] = True
-            # the other view's plane, intersected with this pixel's ray
             constant = 1.0 / other.depth[j, i] - slope_x * i - slope_y * j
             along = own * (slope_x * ray0 + slope_y * ray1 + constant * ray2)
             relative_gap = (1.0 - slope_x * b0 - slope_y * b1 - constant * b2) / along - 1.0
             expected = np.sqrt((sigma[y, x] / own) ** 2 + (other.sigma[j, i] / (z * along)) ** 2)
             check.log_gap_sum[y, x] += np.float32(np.log(max(abs(relative_gap) / expected, _LEAST_GAP)))
+
+            # 5. Is that camera the nearest so far?  The pairs that support its depth support the point, too.
             extra = other.farther_by[3] - own * (other.farther_by[0] * x + other.farther_by[1] * y + other.farther_by[2])
             if extra < least_extra[y, x]:
-                least_extra[y, x], check.nearest[y, x] = extra, other.number
+                least_extra[y, x] = extra
+                check.nearest[y, x] = other.number
             for k in range(len(other.pair_numbers)):
                 pair = other.pair_numbers[k]
                 if (other.support[j, i] >> np.uint32(k)) & np.uint32(1) and pair < _UNCOUNTED:
@@ -226,8 +313,16 @@ def _compare(
 
 @kernel
 def _count_pairs_and_cameras(pairs: Uint64s, pair_cameras: Uint16s, count: Uint8s, cameras: Uint16s) -> None:
-    """Count the set bits, and the distinct cameras of the pairs that they represent."""
+    """Count the set bits, and the distinct cameras of the pairs that they represent.
+
+    Parameters
+    ----------
+    pairs : (words, h, w), as in `_compare`.
+    pair_cameras : (n, 2) numbers of the cameras of each pair.
+    count, cameras : (h, w) initially 0; changed in place.
+    """
     words, h, w = pairs.shape
+    # stamp[c]: the last pixel at which camera c was counted, so that nothing has to be cleared for the next one
     stamp = np.full(2 * len(pair_cameras) + 1, -1, np.int64)
     for y in range(h):
         for x in range(w):

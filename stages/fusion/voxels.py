@@ -17,12 +17,34 @@ from ..core.jit import kernel
 from ..core.parallel import parallel_map
 from ..types import Float32s, Float64s, Int64s
 
-_HALF_CELLS = 1 << 19  # cells to either side of the origin, per axis
+_HALF_CELLS = 1 << 19
+"""Cells to either side of the origin, per axis: 20 bits of a key for each axis."""
+
 _LEVELS = 8
+"""Number of levels; a key's level takes the bits above the three axes."""
+
 _BLOCK = 1 << 18
-_COLUMNS, _FIRST_MAXIMUM = 16, 14
-"""Columns of a voxel's sums: position and normal (times weight), colour (times confidence), weight, confidence, count, standard
-deviation times weight, variance times squared weight.  Columns from `_FIRST_MAXIMUM` on are maxima, of confidence and cameras."""
+"""Voxels that are merged at a time: bounds the memory beyond the sums themselves."""
+
+# Columns of a voxel's sums; positions are relative to the voxel's centre, which keeps single precision exact enough.
+_POSITION = 0
+"""Three columns: position times weight."""
+_NORMAL = 3
+"""Three columns: normal times weight."""
+_COLOUR = 6
+"""Three columns: colour times confidence."""
+_WEIGHT = 9
+_CONFIDENCE = 10
+_COUNT = 11
+_WEIGHTED_SIGMA = 12
+"""Standard deviation times weight."""
+_WEIGHTED_VARIANCE = 13
+"""Variance times squared weight."""
+_LARGEST_CONFIDENCE = 14
+"""This column and the next are maxima, not sums."""
+_MOST_CAMERAS = 15
+_COLUMNS = 16
+
 _CORRELATION = 0.25
 """Error correlation of a voxel's samples: views share pairs, and pixels share patches (fitted as in `fusion.uncertainty`)."""
 
@@ -44,7 +66,7 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class VoxelSums:
-    """Samples of one view, summed by occupied voxel: sorted keys (n,), and columns (n, 16) as in `_COLUMNS`."""
+    """Samples of one view, summed by occupied voxel: sorted keys (n,), and columns (n, 16) as above."""
 
     keys: Int64s
     columns: Float32s
@@ -63,8 +85,10 @@ class VoxelGrid:
         """The samples of one view, summed by voxel; those beyond half a million edges from the origin are left out."""
         doublings = np.floor(np.log2(np.maximum(samples.footprint / self.edge, 1.0)))
         level = np.clip(doublings, 0, _LEVELS - 1).astype(np.int64)
-        keys, offsets = np.empty(len(level), np.int64), np.empty((len(level), 3), np.float32)
+        keys = np.empty(len(level), np.int64)
+        offsets = np.empty((len(level), 3), np.float32)
         _locate(samples.points, level, self.origin, self.edge, keys, offsets)
+        # bring samples of one voxel together; a stable sort keeps the order of summation, and so the last bits
         order = np.flatnonzero(keys >= 0)
         order = order[np.argsort(keys[order], kind="stable")]
         keys = keys[order]
@@ -92,21 +116,30 @@ class VoxelGrid:
         yield from parallel_map(self._means, pieces)
 
     def _means(self, rows: slice) -> Samples:
-        keys, sums = self._keys[rows], self._sums[rows]
-        w, c, n = (sums[:, k, None] for k in (9, 10, 11))
-        correlated, independent = (sums[:, 12] / w[:, 0]) ** 2, sums[:, 13] / w[:, 0] ** 2
-        length = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
+        """Merged samples of some of the voxels."""
+        keys = self._keys[rows]
+        sums = self._sums[rows]
+        weight = sums[:, _WEIGHT, None]
+        confidence = sums[:, _CONFIDENCE, None]
+        count = sums[:, _COUNT, None]
+        # variance of a weighted mean if all errors were the same, and if they were independent
+        correlated = (sums[:, _WEIGHTED_SIGMA] / weight[:, 0]) ** 2
+        independent = sums[:, _WEIGHTED_VARIANCE] / weight[:, 0] ** 2
+        normals = sums[:, _NORMAL : _NORMAL + 3]
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        # take the keys apart again: 20 bits for each axis, and the level above them
         cells = np.column_stack([keys >> shift & (2 * _HALF_CELLS - 1) for shift in (40, 20, 0)]) - _HALF_CELLS
-        centres = self.origin + (cells + 0.5) * (self.edge * 2.0 ** (keys >> 60))[:, None]
+        edges = self.edge * 2.0 ** (keys >> 60)
+        centres = self.origin + (cells + 0.5) * edges[:, None]
         return Samples(
-            centres + sums[:, 0:3] / w,  # sums are relative to the centres, which keeps single precision exact enough
-            np.asarray(sums[:, 3:6] / np.maximum(length, 1e-30), dtype=np.float32),
-            sums[:, 6:9] / c,
-            (w / n)[:, 0],
-            sums[:, 14].copy(),  # an array view would keep all the block's sums in memory
-            sums[:, 15].copy(),
-            (self.edge * 2.0 ** (keys >> 60)).astype(np.float32),
-            _CORRELATION * correlated + (1.0 - _CORRELATION) * independent,
+            points=centres + sums[:, _POSITION : _POSITION + 3] / weight,
+            normals=np.asarray(normals / np.maximum(length, 1e-30), dtype=np.float32),
+            colors=sums[:, _COLOUR : _COLOUR + 3] / confidence,
+            weight=(weight / count)[:, 0],
+            confidence=sums[:, _LARGEST_CONFIDENCE].copy(),  # an array view would keep all the block's sums in memory
+            cameras=sums[:, _MOST_CAMERAS].copy(),
+            footprint=edges.astype(np.float32),
+            variance=_CORRELATION * correlated + (1.0 - _CORRELATION) * independent,
         )
 
 
@@ -115,7 +148,8 @@ def _locate(points: Float64s, level: Int64s, origin: Float64s, edge: float, keys
     """Write the key of each point's voxel, -1 if it is too far out, and the point's offset from the voxel's centre."""
     for n in range(len(points)):
         edge_length = edge * 2.0 ** level[n]
-        key, is_inside = level[n], True
+        key = level[n]
+        is_inside = True
         for axis in range(3):
             position = (points[n, axis] - origin[axis]) / edge_length
             cell = np.floor(position)
@@ -134,24 +168,27 @@ def _sum_by_voxel(order: Int64s, starts: Int64s, offsets: Float32s, samples: Sam
         row[:] = 0
         for n in range(starts[voxel], starts[voxel + 1]):
             sample = order[n]
-            w, c, v = weight[sample], confidence[sample], variance[sample]
+            w = weight[sample]
+            c = confidence[sample]
+            v = variance[sample]
             for axis in range(3):
-                row[axis] += offsets[sample, axis] * w
-                row[3 + axis] += normals[sample, axis] * w
-                row[6 + axis] += colors[sample, axis] * c
-            row[9] += w
-            row[10] += c
-            row[11] += 1
-            row[12] += w * np.sqrt(v)
-            row[13] += w * w * v
-            row[14] = max(row[14], c)
-            row[15] = max(row[15], cameras[sample])
+                row[_POSITION + axis] += offsets[sample, axis] * w
+                row[_NORMAL + axis] += normals[sample, axis] * w
+                row[_COLOUR + axis] += colors[sample, axis] * c
+            row[_WEIGHT] += w
+            row[_CONFIDENCE] += c
+            row[_COUNT] += 1
+            row[_WEIGHTED_SIGMA] += w * np.sqrt(v)
+            row[_WEIGHTED_VARIANCE] += w * w * v
+            row[_LARGEST_CONFIDENCE] = max(row[_LARGEST_CONFIDENCE], c)
+            row[_MOST_CAMERAS] = max(row[_MOST_CAMERAS], cameras[sample])
 
 
 @kernel
 def _count_new(known: Int64s, keys: Int64s) -> int:
     """Number of `keys` that are not in `known`; both are sorted."""
-    count, row = 0, 0
+    count = 0
+    row = 0
     for k in range(len(keys)):
         while row < len(known) and known[row] < keys[k]:
             row += 1
@@ -162,8 +199,12 @@ def _count_new(known: Int64s, keys: Int64s) -> int:
 
 @kernel
 def _merge_from_the_end(keys: Int64s, sums: Float32s, old_count: int, new_keys: Int64s, new_sums: Float32s) -> None:
-    """Merge new sorted rows into an array whose first `old_count` rows are sorted and whose length is that of the result."""
-    old, new = old_count - 1, len(new_keys) - 1
+    """Merge new sorted rows into an array whose first `old_count` rows are sorted and whose length is that of the result.
+
+    From the end, a row is never written before it has been read.
+    """
+    old = old_count - 1
+    new = len(new_keys) - 1
     for row in range(len(keys) - 1, -1, -1):
         if new < 0:
             return  # the remaining rows are in place already
@@ -174,9 +215,9 @@ def _merge_from_the_end(keys: Int64s, sums: Float32s, old_count: int, new_keys: 
             old -= 1
         elif old >= 0 and keys[old] == new_keys[new]:
             keys[row] = keys[old]
-            for column in range(_FIRST_MAXIMUM):
+            for column in range(_LARGEST_CONFIDENCE):
                 sums[row, column] = sums[old, column] + new_sums[new, column]
-            for column in range(_FIRST_MAXIMUM, _COLUMNS):
+            for column in range(_LARGEST_CONFIDENCE, _COLUMNS):
                 sums[row, column] = max(sums[old, column], new_sums[new, column])
             old -= 1
             new -= 1
