@@ -7,6 +7,7 @@ same bytes.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -30,10 +31,23 @@ from ..types import (
 )
 
 WIDTH = 480
+"""Largest width of a picture, pixels, unless its caller asks for more."""
 QUALITY = 80
+"""JPEG quality of the pictures, per cent."""
 LARGE = 1600
+"""Largest width of a large picture of a frame, pixels."""
 _MOST_LINES = 60
+"""Largest number of matches that are drawn: more would hide the images."""
+_CELLS = (10, 6)
+"""Columns and rows of the cells of which each shows one match."""
 _MOST_DOTS = 500_000
+"""About the largest number of points of a cloud that are drawn."""
+_BACKGROUND = 24
+"""Grey level behind pictures."""
+_GAP_PX = 4
+"""Distance between pictures on one canvas, pixels."""
+_MARGIN_PX = 10
+"""Margin around the plan of a cloud, pixels."""
 
 
 def frame_preview(frame: Frame) -> Uint8s:
@@ -47,6 +61,7 @@ def frame_large(frame: Frame) -> Uint8s:
 
 
 def _dimmed(frame: Frame) -> Uint8s:
+    """The image, with masked pixels darker and of little contrast."""
     return np.where(frame.mask[..., None], frame.image, frame.image // 4 + 32).astype(np.uint8)
 
 
@@ -61,21 +76,35 @@ def matches_preview(
     left, right : frames of both views; None: a plain background.
     width : of the picture, at most.
     """
-    images = [
-        np.full((view.height, view.width, 3), 48, np.uint8) if frame is None else frame.image
-        for frame, view in ((left, matches.view1), (right, matches.view2))
-    ]
-    canvas, scale, offset = _side_by_side(images[0], images[1], width)
-    pixels1, pixels2 = (matches.x1 + 0.5) * scale - 0.5, (matches.x2 + 0.5) * scale - 0.5 + [offset, 0]
-    cells = np.floor(matches.x1 / (matches.view1.width, matches.view1.height) * [10, 6]).astype(int)
-    chosen = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)[1][:_MOST_LINES]  # the first in each cell
+    image1 = _image_or_plain(left, matches.view1)
+    image2 = _image_or_plain(right, matches.view2)
+    canvas, scale, offset = _side_by_side(image1, image2, width)
+    # pixel centres are whole numbers, so that the corner of the image lies at -0.5
+    pixels1 = (matches.x1 + 0.5) * scale - 0.5
+    pixels2 = (matches.x2 + 0.5) * scale - 0.5 + [offset, 0]
+    # the first match in each cell of the left image
+    cells = np.floor(matches.x1 / (matches.view1.width, matches.view1.height) * _CELLS).astype(int)
+    _, first_in_cell = np.unique(cells[:, 1] * 1000 + cells[:, 0], return_index=True)
+    chosen = first_in_cell[:_MOST_LINES]
     for k, n in enumerate(chosen):
         colour = _hue(k / max(1, len(chosen)))
-        start, end = (tuple(int(v) for v in np.round(p[n])) for p in (pixels1, pixels2))
+        start = _whole_pixel(pixels1[n])
+        end = _whole_pixel(pixels2[n])
         cv2.line(canvas, start, end, colour, 1, cv2.LINE_AA)
         cv2.circle(canvas, start, 2, colour, -1, cv2.LINE_AA)
         cv2.circle(canvas, end, 2, colour, -1, cv2.LINE_AA)
     return jpeg(canvas, QUALITY)
+
+
+def _image_or_plain(frame: Frame | None, view: View) -> Uint8s:
+    if frame is not None:
+        return frame.image
+    return np.full((view.height, view.width, 3), 48, np.uint8)
+
+
+def _whole_pixel(x: Float64s) -> tuple[int, int]:
+    column, row = np.round(x)
+    return int(column), int(row)
 
 
 def rectified_preview(rectification: Rectification, left: Frame, right: Frame, *, width: int = WIDTH) -> Uint8s:
@@ -110,70 +139,110 @@ def disparity_preview(
     if left is None or right is None or rectification is None:
         return jpeg(picture, QUALITY)
     rectified = _rectified(rectification, left, right, width)
-    canvas = np.full((rectified.shape[0] + 4 + picture.shape[0], max(rectified.shape[1], picture.shape[1]), 3), 24, np.uint8)
+    top = rectified.shape[0] + _GAP_PX
+    canvas = _canvas(top + picture.shape[0], max(rectified.shape[1], picture.shape[1]))
     canvas[: rectified.shape[0], : rectified.shape[1]] = rectified
-    canvas[rectified.shape[0] + 4 :, : picture.shape[1]] = picture
+    canvas[top:, : picture.shape[1]] = picture
     return jpeg(canvas, QUALITY)
 
 
 def depth_preview(depth: DepthMap) -> Uint8s:
     """Depth of one view, near in warm colours, black where unknown, with a colour scale below."""
+    # colours by inverse depth, as in a disparity map: near things show more detail
     coloured, low, high = _coloured((1.0 / depth.depth).astype(np.float32))
     picture = _fit(coloured[0], WIDTH)
-    return jpeg(_with_scale(picture, f"{1 / low:.3g} away", f"{1 / high:.3g} away") if high > low > 0 else picture, QUALITY)
+    if high > low > 0:
+        picture = _with_scale(picture, f"{1 / low:.3g} away", f"{1 / high:.3g} away")
+    return jpeg(picture, QUALITY)
 
 
 def cloud_preview(cloud: Cloud, cameras: Mapping[str, Camera]) -> Uint8s:
     """The cloud from above, and the cameras as red triangles that open in the viewing direction."""
     up, east, north = _view_axes(cameras)
-    plan = np.stack([east, north])
-    sample = slice(None, None, 1 + len(cloud.points) // _MOST_DOTS)
-    scene, colors = cloud.points[sample].astype(np.float64), cloud.colors[sample]
-    points = scene @ plan.T
-    centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ plan.T
-    bounds = [np.percentile(points, [1, 99], axis=0)] if len(points) else []  # without the outermost percent at each end
-    corners = np.vstack([*bounds, centres]) if len(centres) or bounds else np.zeros((1, 2))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    size = np.maximum(high - low, 1e-9)
-    scale = min((WIDTH - 20) / size[0], (WIDTH - 20) / size[1])
-    width, height = (np.floor(size * scale).astype(int) + 20).tolist()
+    axes = np.stack([east, north])
+    step = 1 + len(cloud.points) // _MOST_DOTS
+    scene = cloud.points[::step].astype(np.float64)
+    colors = cloud.colors[::step]
+    points = scene @ axes.T
+    centres = np.array([camera.C for camera in cameras.values()]).reshape(-1, 3) @ axes.T
+    plan = _plan(points, centres)
 
-    def pixel(p: Float64s) -> Float64s:
-        return np.column_stack([(p[:, 0] - low[0]) * scale + 10, height - 10 - (p[:, 1] - low[1]) * scale])
-
-    canvas = np.full((height, width, 3), 24, np.uint8)
+    canvas = _canvas(plan.height, plan.width)
     order = np.argsort(scene @ up, kind="stable")  # the highest is drawn last
-    x, y = np.round(pixel(points[order])).astype(int).T
-    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    x, y = np.round(plan.pixels(points[order])).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < plan.width) & (y < plan.height)
     canvas[y[inside], x[inside]] = colors[order][inside]
     for centre, camera in zip(centres, cameras.values(), strict=True):
-        ahead = plan @ camera.R[2]
+        ahead = axes @ camera.R[2]
         across = np.array([-ahead[1], ahead[0]])
-        corners = centre + np.array([np.zeros(2), 14 * ahead + 7 * across, 14 * ahead - 7 * across]) / scale
-        cv2.polylines(canvas, [np.round(pixel(corners)).astype(np.int32)], True, (255, 70, 50), 1, cv2.LINE_AA)
+        offsets_px = np.array([np.zeros(2), 14 * ahead + 7 * across, 14 * ahead - 7 * across])
+        corners = plan.pixels(centre + offsets_px / plan.scale)
+        cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, (255, 70, 50), 1, cv2.LINE_AA)
     return jpeg(canvas, QUALITY)
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """Where a plan shows places, (n, 2) to the right and ahead."""
+
+    low: Float64s
+    """(2,) the place at the lower left corner, inside the margin."""
+    scale: float
+    """Pixels per unit of length."""
+    width: int
+    height: int
+    """Pixels."""
+
+    def pixels(self, places: Float64s) -> Float64s:
+        """(n, 2) pixels of places (n, 2)."""
+        column = (places[:, 0] - self.low[0]) * self.scale + _MARGIN_PX
+        row = self.height - _MARGIN_PX - (places[:, 1] - self.low[1]) * self.scale
+        return np.column_stack([column, row])
+
+
+def _plan(points: Float64s, centres: Float64s) -> _Plan:
+    """The plan that holds the points (n, 2) without the outermost per cent at each end, and all cameras (m, 2)."""
+    corners = centres
+    if len(points):
+        corners = np.vstack([np.percentile(points, [1, 99], axis=0), centres])
+    elif not len(centres):
+        corners = np.zeros((1, 2))
+    low = corners.min(axis=0)
+    size = np.maximum(corners.max(axis=0) - low, 1e-9)
+    inner_px = WIDTH - 2 * _MARGIN_PX
+    scale = min(inner_px / size[0], inner_px / size[1])
+    width, height = (np.floor(size * scale).astype(int) + 2 * _MARGIN_PX).tolist()
+    return _Plan(low, scale, width, height)
+
+
+def _canvas(height: int, width: int) -> Uint8s:
+    return np.full((height, width, 3), _BACKGROUND, np.uint8)
+
+
 def _fit(image: Uint8s, width: int) -> Uint8s:
+    """The image, reduced to `width` pixels if it is wider."""
     h, w = image.shape[:2]
     if w <= width:
         return image
-    return np.asarray(cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    height = max(1, round(h * width / w))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _side_by_side(left: Uint8s, right: Uint8s, width: int) -> tuple[Uint8s, float, int]:
     """Two images on one canvas at a common scale, that scale, and the column at which the right one begins."""
-    gap, widest = 4, max(left.shape[1], right.shape[1])
-    scale = min(1.0, (width - gap) / 2 / widest)
-    small = [_fit(image, max(1, round(image.shape[1] * scale))) for image in (left, right)]
-    canvas = np.full((max(s.shape[0] for s in small), small[0].shape[1] + gap + small[1].shape[1], 3), 24, np.uint8)
-    offset = small[0].shape[1] + gap
-    canvas[: small[0].shape[0], : small[0].shape[1]] = small[0]
-    canvas[: small[1].shape[0], offset:] = small[1]
+    widest = max(left.shape[1], right.shape[1])
+    scale = min(1.0, (width - _GAP_PX) / 2 / widest)
+    small1 = _fit(left, max(1, round(left.shape[1] * scale)))
+    small2 = _fit(right, max(1, round(right.shape[1] * scale)))
+    offset = small1.shape[1] + _GAP_PX
+    canvas = _canvas(max(small1.shape[0], small2.shape[0]), offset + small2.shape[1])
+    canvas[: small1.shape[0], : small1.shape[1]] = small1
+    canvas[: small2.shape[0], offset:] = small2
     return canvas, scale, offset
 
 
 def _rectified(rectification: Rectification, left: Frame, right: Frame, width: int) -> Uint8s:
+    """Both rectified images side by side, with rows drawn across both."""
     from ..rectification.warping import warp  # imported here: frames alone need no compiled kernels
 
     canvas, _, _ = _side_by_side(warp(rectification, 1, left.image), warp(rectification, 2, right.image), width)
@@ -183,32 +252,45 @@ def _rectified(rectification: Rectification, left: Frame, right: Frame, width: i
 
 
 def _disparities(disparity: Disparity, width: int) -> Uint8s:
+    """Disparity of both views side by side, with a colour scale if any is known."""
     from ..rectification.warping import disparity_px  # imported here, as above
 
     coloured, low, high = _coloured(disparity_px(disparity, 1), disparity_px(disparity, 2))
-    picture = _side_by_side(coloured[0], coloured[1], width)[0]
-    return _with_scale(picture, f"{low:.1f} px", f"{high:.1f} px") if high > low else picture
+    picture, _, _ = _side_by_side(coloured[0], coloured[1], width)
+    if high > low:
+        picture = _with_scale(picture, f"{low:.1f} px", f"{high:.1f} px")
+    return picture
 
 
 def _with_scale(picture: Uint8s, low: str, high: str) -> Uint8s:
     """The image with a strip below that shows the colour scale between its end values."""
     width = picture.shape[1]
     font_size = max(0.35, 0.4 * width / WIDTH)
-    text_widths = [cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, font_size, 1)[0][0] for label in (low, high)]
-    strip: Uint8s = np.full((round(42 * font_size), width, 3), 24, np.uint8)
-    start, end = text_widths[0] + 12, min(width - text_widths[1] - 12, text_widths[0] + 12 + width // 3)
+    strip = _canvas(round(42 * font_size), width)
+    # label, bar, label, each with 6 pixels on either side; the bar takes a third of the width where there is room
+    start = _text_width(low, font_size) + 12
+    end = min(width - _text_width(high, font_size) - 12, start + width // 3)
     if end > start:
         ramp = np.linspace(0, 255, end - start).astype(np.uint8)[None]
-        bar = cv2.cvtColor(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
-        strip[len(strip) // 4 : 3 * len(strip) // 4, start:end] = bar
+        strip[len(strip) // 4 : 3 * len(strip) // 4, start:end] = _turbo(ramp)
+        baseline = round(0.7 * len(strip))
         for label, x in ((low, 6), (high, end + 6)):
-            cv2.putText(
-                strip, label, (x, round(0.7 * len(strip))), cv2.FONT_HERSHEY_SIMPLEX, font_size, (225, 225, 225), 1, cv2.LINE_AA
-            )
+            cv2.putText(strip, label, (x, baseline), cv2.FONT_HERSHEY_SIMPLEX, font_size, (225, 225, 225), 1, cv2.LINE_AA)
     return np.concatenate([picture, strip])
 
 
+def _text_width(label: str, font_size: float) -> int:
+    (width, _), _ = cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, font_size, 1)
+    return width
+
+
+def _turbo(levels: Uint8s) -> Uint8s:
+    """Levels (h, w) as colours (h, w, 3), red for the highest."""
+    return np.asarray(cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
 def _hue(share: float) -> tuple[int, int, int]:
+    """A colour of the rainbow, red, green, blue; share: 0 to 1."""
     pixel = np.array([[[round(179 * share), 200, 255]]], np.uint8)
     red, green, blue = np.asarray(cv2.cvtColor(pixel, cv2.COLOR_HSV2RGB))[0, 0]
     return int(red), int(green), int(blue)
@@ -217,11 +299,14 @@ def _hue(share: float) -> tuple[int, int, int]:
 def _coloured(*maps: Float32s) -> tuple[list[Uint8s], float, float]:
     """Each map as (h, w, 3) uint8, coloured over the common 2nd to 98th percentile, black where unknown; and these two values."""
     known = np.concatenate([values[np.isfinite(values)] for values in maps])
-    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 0.0)
+    low = 0.0
+    high = 0.0
+    if known.size:
+        low, high = np.percentile(known, [2, 98])
     pictures = []
     for values in maps:
         level = np.nan_to_num((values - low) / max(high - low, 1e-12)).clip(0, 1) * 255
-        coloured = cv2.cvtColor(cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+        coloured = _turbo(level.astype(np.uint8))
         pictures.append(np.where(np.isfinite(values)[..., None], coloured, 0).astype(np.uint8))
     return pictures, float(low), float(high)
 
@@ -232,10 +317,13 @@ def _view_axes(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float
         return np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     up = -np.sum([camera.R[1] for camera in cameras.values()], axis=0)
     first = next(iter(cameras.values()))
-    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else -first.R[1]
+    if np.linalg.norm(up) > 1e-6:
+        up = up / np.linalg.norm(up)
+    else:
+        up = -first.R[1]  # the axes cancel out
     ahead = np.sum([camera.R[2] for camera in cameras.values()], axis=0)
     ahead = ahead - (ahead @ up) * up
-    if np.linalg.norm(ahead) < 1e-6:
+    if np.linalg.norm(ahead) < 1e-6:  # cameras all around, or looking down
         ahead = np.cross(up, first.R[0])
     ahead = ahead / np.linalg.norm(ahead)
     return up, np.cross(ahead, up), ahead
@@ -244,6 +332,7 @@ def _view_axes(cameras: Mapping[str, Camera]) -> tuple[Float64s, Float64s, Float
 MOST_KEYPOINTS = 3000
 """Largest number of keypoints that are shown in an image: more would hide it."""
 MOST_MATCHES = 400
+"""Largest number of inliers that are shown in a pair of images."""
 
 
 def keypoint_marks(features: Features) -> bytes:
@@ -258,7 +347,10 @@ def inlier_marks(geometry: Geometry) -> bytes:
 
 
 def _sample(count: int, most: int) -> Int64s:
-    return np.arange(count) if count <= most else np.linspace(0, count - 1, most).astype(np.int64)
+    """Indices of at most `most` of `count` items, evenly spaced."""
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def _packed_pixels(xy: Float64s, view: View) -> bytes:
