@@ -30,9 +30,9 @@ from hostile_captures import GOOD, Hostile, capture_cases, write_site
 from hostile_files import Case, calibration_cases, fuzzed, site_cases, write_base
 
 from wbflow.errors import ExitCode, WbflowError
-from wbflow.run.options import Options
-from wbflow.run.plan import Plan
-from wbflow.run.tonight import read_night
+from wbflow.runner.options import Options
+from wbflow.runner.plan import Plan
+from wbflow.runner.tonight import read_night
 from wbflow.site.load import load_site
 
 SECONDS = 60.0

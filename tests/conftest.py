@@ -11,12 +11,12 @@ from wbflow.site import captures
 
 SLOWEST = (
     "wbflow/test_yard.py",
-    "wbflow/run/test_run.py",
+    "wbflow/runner/test_run.py",
     "wbflow/commands/test_export.py",
     "wbflow/test_fountain.py",
-    "wbflow/run/test_dispatch.py",
+    "wbflow/runner/test_dispatch.py",
     "wbflow/reference/test_reference.py",
-    "wbflow/run/test_plugins.py",
+    "wbflow/runner/test_plugins.py",
     "test_fault_campaign.py",
 )
 """Test files that take about a minute or more; they start first, in this order.  The yard compiles all kernels while the second

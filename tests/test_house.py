@@ -32,7 +32,7 @@ ENGINE_LAYERS = (
     {"errors", "task", "words", "json_dataclass", "plugins"},
     {"cache", "records", "pipeline", "remote"},
     {"site"},
-    {"run", "reference", "verdict", "report", "capture"},
+    {"runner", "reference", "verdict", "report", "capture"},
     {"edit", "commands"},
     {"api"},
     {"cli"},
@@ -219,9 +219,9 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
         "cli/main.py",
         "cli/run.py",
         "remote.py",
-        "run/life.py",
-        "run/worker.py",
-        "run/worker.py",
+        "runner/life.py",
+        "runner/worker.py",
+        "runner/worker.py",
     ]
 
 

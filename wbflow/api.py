@@ -18,8 +18,8 @@ from .errors import UsageError
 from .records.events import Listener
 from .records.finished_run import Run as Run
 from .records.run_folder import RunFolder, refresh
-from .run.life import run_night
-from .run.options import Options
+from .runner.life import run_night
+from .runner.options import Options
 from .site.load import load_site as load_site
 from .site.models import Site
 from .words import bytes_of

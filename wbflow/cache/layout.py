@@ -110,7 +110,7 @@ class WorkFolder:
         self.lock = self.root / "lock"
         """The lock file, held while a process writes."""
         self.progress = self.root / ".progress"
-        """Current tasks of the workers (see `run.worker.progress_reporter`); removed at the end of a run."""
+        """Current tasks of the workers (see `runner.worker.progress_reporter`); removed at the end of a run."""
 
     @staticmethod
     def mirroring(url: str, site: str) -> WorkFolder:

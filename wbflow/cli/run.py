@@ -269,9 +269,9 @@ def status(site: Path, date: Day | None, work: str | None, until: str | None, as
 
 def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
     from ..commands.status import explain
-    from ..run.options import Options
-    from ..run.plan import Plan
-    from ..run.tonight import read_night
+    from ..runner.options import Options
+    from ..runner.plan import Plan
+    from ..runner.tonight import read_night
 
     options = Options(date, until=until, force=force)
     options.check(site)

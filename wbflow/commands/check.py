@@ -19,9 +19,9 @@ from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..run.night import Night
-from ..run.options import Options
-from ..run.tonight import read_night
+from ..runner.night import Night
+from ..runner.options import Options
+from ..runner.tonight import read_night
 from ..site.captures import FEW_EXAMPLES, CaptureFile, expected, nights_with_captures, nothing_matches
 from ..site.models import Camera, Site
 from ..site.plausibility import polygon_outside

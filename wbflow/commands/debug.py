@@ -15,13 +15,13 @@ from ..cache.store import Cache
 from ..errors import UsageError
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, REJECTED, stage_named
 from ..plugins import load, make_importable
-from ..run.executors import THREADS
-from ..run.options import Options
-from ..run.plan import Plan
-from ..run.spec import Input, Stored, TaskSpec
-from ..run.state import Impossible, Waiting
-from ..run.tonight import read_night
-from ..run.worker import arguments_of
+from ..runner.executors import THREADS
+from ..runner.options import Options
+from ..runner.plan import Plan
+from ..runner.spec import Input, Stored, TaskSpec
+from ..runner.state import Impossible, Waiting
+from ..runner.tonight import read_night
+from ..runner.worker import arguments_of
 from ..site.models import Site
 from ..site.yaml_document import suggest
 from ..task import Task

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..cache.store import Preimage, Receipt
 from ..pipeline.stages import PAIRS
-from ..run.plan import Plan
+from ..runner.plan import Plan
 from ..task import Task
 
 _MOST_NAMED_INPUTS = 3

@@ -18,11 +18,11 @@ from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
 from ..records.reference import Reference
 from ..records.run_folder import NoSuchRun, newest_runs
-from ..run.bindings import Bindings, stages_of
-from ..run.night import Night, NightFiles
-from ..run.plan import Plan
-from ..run.state import Impossible, Waiting, cached_state
-from ..run.worker import run_chain
+from ..runner.bindings import Bindings, stages_of
+from ..runner.night import Night, NightFiles
+from ..runner.plan import Plan
+from ..runner.state import Impossible, Waiting, cached_state
+from ..runner.worker import run_chain
 from ..site.models import Site
 from ..task import Task, camera_of
 from .create import CannotPin, pinned_artifacts

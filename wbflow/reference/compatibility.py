@@ -10,8 +10,8 @@ from typing import Any
 from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference import Reference
-from ..run.night import Night
-from ..run.spec import Files, input_digests, site_input
+from ..runner.night import Night
+from ..runner.spec import Files, input_digests, site_input
 from ..site.calibration.calibrated import Lens
 from ..site.captures import file_of_stage
 from ..site.models import Site

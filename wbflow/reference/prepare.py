@@ -9,8 +9,8 @@ from ..cache.atomic import clear, write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import Unreadable, read_untrusted
 from ..records.reference import BadReference, read_record
-from ..run.journal import Journal
-from ..run.night import Night
+from ..runner.journal import Journal
+from ..runner.night import Night
 from .restore import restore
 
 

@@ -20,9 +20,9 @@ from ..pipeline.summaries import HealthSummary
 from ..records.findings import Health
 from ..records.reference import Reference
 from ..records.run_folder import last_of_nights, newest_runs
-from ..run.night import Night
-from ..run.spec import Input, Joined, Stored, Value, stored_input
-from ..run.state import Cause, Impossible, State, Waiting, blocked_by, summary_of
+from ..runner.night import Night
+from ..runner.spec import Input, Joined, Stored, Value, stored_input
+from ..runner.state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
 from .restore import restore_to_cache
 

@@ -15,7 +15,7 @@ from ..pipeline.stages import CHANGES, STAGES
 from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
-from ..run.state import Cause
+from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
 from ..verdict.baseline import figures_of

@@ -15,7 +15,7 @@ from ..pipeline.summaries import FrameSummary
 from ..records.findings import Health, Usual
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
-from ..run.bindings import Bindings
+from ..runner.bindings import Bindings
 from ..site.models import Expected, Measure, Site
 
 LEAST_MATCHED_SHARE = 0.25

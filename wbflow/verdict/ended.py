@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from ..pipeline.stages import FRAMES
 from ..records.findings import Health
-from ..run.night import Night
-from ..run.state import State
+from ..runner.night import Night
+from ..runner.state import State
 from ..task import Task
 
 

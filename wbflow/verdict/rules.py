@@ -22,8 +22,8 @@ from ..pipeline.summaries import CalibrationCheck, PoseIssue, PosesSummary, Site
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
-from ..run.night import Night
-from ..run.state import Cause, State
+from ..runner.night import Night
+from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
 from ..words import counted

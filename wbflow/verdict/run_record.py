@@ -15,7 +15,7 @@ from ..errors import ExitCode
 from ..pipeline import summaries
 from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
-from ..run.state import Cause, summary_of
+from ..runner.state import Cause, summary_of
 from ..site.models import Site
 from ..site.stale_cameras import night_by_pictures, stale_by_image
 from ..task import Subject, Task, camera_of

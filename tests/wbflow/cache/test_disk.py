@@ -30,7 +30,7 @@ def test_no_task_starts_without_disk_space_for_its_results(toy: ToySite, monkeyp
     toy.parameters = {"disparity": {"tolerance": 2.0}}
     toy.write()
     with monkeypatch.context() as full:
-        full.setattr("wbflow.run.limits.free_bytes", lambda folder: 1_000_000)
+        full.setattr("wbflow.runner.limits.free_bytes", lambda folder: 1_000_000)
         record = toy.run(code=1)
     assert toy.ran() == set()
     assert "16.0 MB needed to go on, 1.0 MB free" in record["reason"]

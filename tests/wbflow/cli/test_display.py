@@ -14,7 +14,7 @@ import wbflow
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.display import LogLines
 from wbflow.records.events import PlannedEvent, StartedEvent, TaskEvent
-from wbflow.run.plan import Plan
+from wbflow.runner.plan import Plan
 from wbflow.task import Task
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d (\w+): (\d+) of (\d+) done: ")

@@ -19,7 +19,7 @@ from tests.helpers.browser import chromium, until
 from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.findings import Finding, Verdict
 from wbflow.records.record import RunRecord
-from wbflow.run.state import Cause
+from wbflow.runner.state import Cause
 
 webdriver = pytest.importorskip("selenium.webdriver")
 Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys

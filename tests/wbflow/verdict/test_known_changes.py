@@ -19,7 +19,7 @@ from wbflow.pipeline.summaries import Change, ChangesSummary
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
-from wbflow.run import publish
+from wbflow.runner import publish
 from wbflow.verdict import acknowledge, rules
 from wbflow.verdict.acknowledge import Acknowledgement, changes_of, with_known
 

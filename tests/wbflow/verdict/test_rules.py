@@ -13,7 +13,7 @@ from wbflow.errors import ExitCode
 from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
 from wbflow.records.findings import FINDINGS, Finding, Health, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
-from wbflow.run.state import Cause, State
+from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
 from wbflow.verdict.baseline import appearance_of, usual_before, usual_of

@@ -1,6 +1,6 @@
 """The work of a worker: run the tasks of a chain one after the other, each from its inputs to its receipt.
 
-A task that exceeds its time limit (see `run.limits`) is ended by the worker process itself (see `progress_reporter`).
+A task that exceeds its time limit (see `runner.limits`) is ended by the worker process itself (see `progress_reporter`).
 """
 
 from __future__ import annotations

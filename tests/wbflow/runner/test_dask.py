@@ -12,9 +12,9 @@ from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.errors import UsageError, WbflowError
-from wbflow.run.executors import Cluster, CodeMismatch, translate_paths
-from wbflow.run.options import worker_roots
-from wbflow.run.spec import Files, Input, Joined, Stored, TaskSpec
+from wbflow.runner.executors import Cluster, CodeMismatch, translate_paths
+from wbflow.runner.options import worker_roots
+from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
 from wbflow.site.captures import CaptureFile
 from wbflow.task import Task
 

@@ -36,7 +36,7 @@ def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
     stage = pipeline.stage_named("geometry")
     drawings = {**stage.products.drawings, "picture": "painter:show"}
     mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, drawings=drawings))
-    monkeypatch.setattr("wbflow.run.plan.stage_named", lambda name: mine if name == stage.name else pipeline.stage_named(name))
+    monkeypatch.setattr("wbflow.runner.plan.stage_named", lambda name: mine if name == stage.name else pipeline.stage_named(name))
     return module
 
 

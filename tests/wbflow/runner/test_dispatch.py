@@ -18,10 +18,10 @@ from click.testing import CliRunner
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
 from wbflow.records.ledger import TaskCosts
-from wbflow.run import limits
-from wbflow.run.dispatch import Dispatcher
-from wbflow.run.executors import Processes
-from wbflow.run.limits import Limits
+from wbflow.runner import limits
+from wbflow.runner.dispatch import Dispatcher
+from wbflow.runner.executors import Processes
+from wbflow.runner.limits import Limits
 from wbflow.task import Task
 
 WICKED = '''

@@ -21,7 +21,7 @@ from wbflow.records.finished_run import Run
 from wbflow.records.metrics import metrics
 from wbflow.records.record import RunRecord, moment, stamp
 from wbflow.records.run_folder import RunFolder
-from wbflow.run.notify import MOST_WORDS, NotifyFailed, notify, summary
+from wbflow.runner.notify import MOST_WORDS, NotifyFailed, notify, summary
 from wbflow.site.load import load_site
 from wbflow.site.models import Notify
 from wbflow.site.yaml_document import SiteError

@@ -15,7 +15,7 @@ from tests.helpers.toy_site import ToySite
 from wbflow import api
 from wbflow.cache.memo import Digests
 from wbflow.errors import WbflowError
-from wbflow.run.state import Cause
+from wbflow.runner.state import Cause
 from wbflow.site import captures
 
 

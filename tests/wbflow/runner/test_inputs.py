@@ -6,8 +6,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from wbflow.pipeline.stages import PAIRS, stage_named
-from wbflow.run.state import State
-from wbflow.run.subjects import Subjects
+from wbflow.runner.state import State
+from wbflow.runner.subjects import Subjects
 from wbflow.task import Task
 
 
