@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import getpass
 import json
-import re
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
-from ..cache.untrusted import Unreadable, read_untrusted
+from ..cache.untrusted import Unreadable, is_nobodys, read_untrusted
 from ..errors import UsageError
 from ..plugins import load
+from ..site.ids import as_id, unique_ids
 from ..site.models import Site
 from ..site.yaml_document import is_name
 
@@ -21,6 +20,8 @@ PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of photographs in lower case; the case of a file's suffix is ignored."""
 
 SITE_FILE = "site.yaml"
+_LONGEST_LIST = 112
+"""Characters up to which all ids are written on one line."""
 
 
 def write_site(folder: Path) -> tuple[Path, list[str], str]:
@@ -34,20 +35,29 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
         raise UsageError(f"{folder}: there is no such folder", remedy="name the folder that holds the photographs")
     if file.exists():
         raise UsageError(f"{file} is there already", remedy="move it away to have a new one written")
-    named = _cameras(folder)
-    ids = _unique_ids(name for name, _ in named)
-    renamed = [f"{identity}: {name}" for identity, (name, _) in zip(ids, named, strict=True) if identity != name]
-    cameras = dict(zip(ids, (photographs for _, photographs in named), strict=True))
-    pattern = None if renamed else _pattern([name for names in cameras.values() for name in names])
-    write_atomic(file, _site_text(_as_id(folder.resolve().name) or "site", cameras, pattern).encode())
+    photographs_by_name = _cameras(folder)
+    ids = unique_ids(name for name, _ in photographs_by_name)
+    cameras: dict[str, list[str]] = {}
+    renamed: list[str] = []
+    for identity, (name, photographs) in zip(ids, photographs_by_name, strict=True):
+        cameras[identity] = photographs
+        if identity != name:
+            renamed.append(f"{identity}: {name}")
+    # a pattern finds files by the id, so cameras whose names are no ids have their files listed
+    pattern = None if renamed else _pattern(cameras)
+    write_atomic(file, _site_text(as_id(folder.resolve().name) or "site", cameras, pattern).encode())
     return file, ids, f"ids were made from names: {', '.join(renamed)}" if renamed else ""
 
 
 def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
     """Return each camera's name (of its folder, or of its photograph without suffix) and photographs, relative to `folder`."""
     single = [(path.stem, [path.name]) for path in _photographs(folder)]
-    inner = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    folders = [(path.name, names) for path in inner if (names := [f"{path.name}/{file.name}" for file in _photographs(path)])]
+    folders: list[tuple[str, list[str]]] = []
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not is_nobodys(path.name):
+            names = [f"{path.name}/{file.name}" for file in _photographs(path)]
+            if names:
+                folders.append((path.name, names))
     if single and folders:
         what = f"{folder} holds photographs ({single[0][1][0]}) and folders of photographs ({folders[0][0]}/)"
         raise UsageError(what, remedy="keep one kind: one photograph of each camera, or one folder for each camera")
@@ -59,40 +69,32 @@ def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
 
 
 def _photographs(folder: Path) -> list[Path]:
-    files = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
-    return sorted(path for path in files if path.suffix.lower() in PHOTOGRAPHS)
+    """The photographs in a folder, by name; thumbnails of disks, and hidden files, are none."""
+    found: list[Path] = []
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.suffix.lower() in PHOTOGRAPHS and not is_nobodys(path.name):
+            found.append(path)
+    return found
 
 
-def _as_id(name: str) -> str:
-    """A name as an id: anything other than letters, digits, `_`, `.` and `-` becomes `-`."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")[:90]
-
-
-def _unique_ids(names: Iterable[str]) -> list[str]:
-    ids: list[str] = []
-    for position, name in enumerate(names, 1):
-        base = identity = _as_id(name) or f"camera-{position}"
-        number = 1
-        while identity in ids:
-            number += 1
-            identity = f"{base}-{number}"
-        ids.append(identity)
-    return ids
-
-
-def _pattern(photographs: list[str]) -> str | None:
-    """Return a pattern that finds exactly each camera's photographs, or None if their suffixes differ."""
-    suffixes = {Path(name).suffix for name in photographs}
-    below = "/*" if "/" in photographs[0] else ""
-    return f"{{camera}}{below}{suffixes.pop()}" if len(suffixes) == 1 else None
+def _pattern(cameras: dict[str, list[str]]) -> str | None:
+    """Return a pattern that finds exactly each camera's photographs, or None if their suffixes differ by more than case."""
+    names = [name for photographs in cameras.values() for name in photographs]
+    suffixes = {Path(name).suffix.lower() for name in names}
+    if len(suffixes) > 1:
+        return None
+    below = "/*" if "/" in names[0] else ""
+    return f"{{camera}}{below}{Path(names[0]).suffix}"
 
 
 def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
     camera_list = f" [{', '.join(map(json.dumps, cameras))}]"
     if pattern is None:
-        files = {name: json.dumps(photographs, ensure_ascii=False) for name, photographs in cameras.items()}
-        camera_list = "".join(f"\n  - {{id: {json.dumps(name)}, images: {images}}}" for name, images in files.items())
-    elif len(camera_list) > 112:
+        camera_list = ""
+        for name, photographs in cameras.items():
+            images = json.dumps(photographs, ensure_ascii=False)
+            camera_list += f"\n  - {{id: {json.dumps(name)}, images: {images}}}"
+    elif len(camera_list) > _LONGEST_LIST:
         camera_list = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
     return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=camera_list)
 
@@ -129,7 +131,9 @@ def write_calibration(
     """
     if not is_name(camera):
         raise UsageError(f"{camera!r} is not a camera id", remedy="use letters, digits, '_', '.', '-'")
-    files = sorted(file for file in pictures.iterdir() if file.is_file()) if pictures.is_dir() else [pictures]
+    files = [pictures]
+    if pictures.is_dir():
+        files = sorted(file for file in pictures.iterdir() if file.is_file() and not is_nobodys(file.name))
     try:
         data = {file.name: read_untrusted(file) for file in files}
     except Unreadable as error:

@@ -20,6 +20,7 @@ from ..words import printable
 from .calibration import find_cameras, only_camera, read_calibration
 from .calibration.calibrated import REMEDY, Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
+from .ids import as_id
 from .models import Camera, CameraEntry, Position, SiteFile
 from .yaml_document import Location, Problems, SiteError, is_name, resolve_path
 
@@ -119,6 +120,11 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
     for i, name in enumerate(ids):
         if not is_name(name):
             remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
+            suggestion = as_id(name)
+            if is_name(suggestion) and suggestion != name:
+                remedy += (
+                    f", for example {suggestion}; {{camera}} in captures.pattern stands for the id, so name its files like it"
+                )
             problems.add(("cameras", i), f"{name!r} is not a camera id", remedy)
         if (first := ids.index(name)) < i:
             line, _ = problems.document.place(("cameras", first))

@@ -49,6 +49,37 @@ LAYOUTS = {
         {"Tor-links-1": ["Tor links (1).jpg"], "Tor-rechts": ["Tor rechts.jpg"]},
     ),
     "the same name twice": (["gate.jpg", "gate.png"], {"gate": ["gate.jpg"], "gate-2": ["gate.png"]}),
+    "names in other scripts": (
+        ["Tor süd/1.jpg", "Ещё/1.jpg", "北門/1.jpg", "بوابة/1.jpg", "Straße №3/1.jpg", "!!/1.jpg"],
+        {
+            "Tor-sud": ["Tor süd/1.jpg"],
+            "Eshche": ["Ещё/1.jpg"],
+            "BeiMen": ["北門/1.jpg"],
+            "bwbh": ["بوابة/1.jpg"],
+            "Strasse-No3": ["Straße №3/1.jpg"],
+            "u21-u21": ["!!/1.jpg"],
+        },
+    ),
+    "a NAS": (
+        ["gate/1.jpg", "gate/@eaDir/1.jpg/SYNOPHOTO_THUMB_S.jpg", "@eaDir/thumb.jpg", "#recycle/old.jpg", "roof/1.jpg"],
+        {"gate": ["gate/1.jpg"], "roof": ["roof/1.jpg"]},
+    ),
+    "thumbnails of other systems": (
+        [
+            "gate.jpg",
+            "._gate.jpg",
+            "roof.jpg",
+            ".stversions/roof.jpg",
+            "$RECYCLE.BIN/a.jpg",
+            "@Recycle/b.jpg",
+            "lost+found/c.jpg",
+        ],
+        {"gate": ["gate.jpg"], "roof": ["roof.jpg"]},
+    ),
+    "one suffix in two cases": (
+        ["gate/1.jpg", "gate/2.JPG", "roof/1.JPG"],
+        {"gate": ["gate/1.jpg", "gate/2.JPG"], "roof": ["roof/1.JPG"]},
+    ),
     "one folder each": (
         ["gate/1.jpg", "gate/2.jpg", "roof/1.jpg", "notes.txt"],
         {"gate": ["gate/1.jpg", "gate/2.jpg"], "roof": ["roof/1.jpg"]},
@@ -73,6 +104,7 @@ def test_the_site_file_is_accepted_and_finds_each_photograph(
     assert result.exit_code == 0, result.output
     assert f"wbflow run {tmp_path / 'site.yaml'}" in result.output
     assert captured(tmp_path) == found
+    assert "camera-" not in result.output
     checked = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert checked.exit_code == 0, checked.output
     assert f"{len(found)} cameras" in checked.output
@@ -85,6 +117,13 @@ def test_the_lines_of_a_site_file_with_many_cameras_are_short(tmp_path: Path) ->
     assert init(tmp_path).exit_code == 0
     assert len(captured(tmp_path)) == 30
     assert max(map(len, (tmp_path / "site.yaml").read_text().splitlines())) < 120
+
+
+def test_a_site_keeps_the_name_of_its_folder_in_any_script(tmp_path: Path) -> None:
+    for name in ("gate.jpg", "roof.jpg"):
+        photograph(tmp_path / "Häfen & Märkte" / name)
+    assert init(tmp_path / "Häfen & Märkte").exit_code == 0
+    assert load_site(tmp_path / "Häfen & Märkte").name == "Hafen-Markte"
 
 
 def test_a_site_file_is_never_overwritten(tmp_path: Path) -> None:
