@@ -95,6 +95,7 @@ def find_changes(
         cloud cover.
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
+    # Nights can only be compared in one world, and where both have a surface.
     cameras = poses.main_cameras()
     axes = ground_axes(cameras.values(), scene.ground if scene is not None else None)
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
@@ -106,6 +107,7 @@ def find_changes(
     old_frames = undistorted_frames(reference_frames or {}, old_cameras)
     pinned = Epoch(reference_cloud, old_cameras, old_frames, reference_depths or {}, reference_refined or {})
     spacing = max(spacing_of(tonight.points), spacing_of(pinned.points))
+    # The grid holds both clouds, so that cells of both nights are the same.
     sample = np.vstack([tonight.points[::_STEP], pinned.points[::_STEP]])
     grid = grid_over(sample, axes, cell_m or preferred_above(_CELL * spacing))
     least_area = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
@@ -217,6 +219,7 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]], axes: Float64s
     """The change, labelled with the zone that contains it; None if no zone counts it."""
     if not zones:
         return cluster
+    # The first zone that contains its place and counts a change of its size.
     change = cluster.change
     x, y = axes[:2] @ (change.x, change.y, change.z)
     for zone in zones:
@@ -241,6 +244,7 @@ def _assembled(
             if part is not None:
                 blob = old_blob if part.vanished else new_blob
                 blob[part.rows] = k
+        # Cameras that see it are those of the night in which it was there.
         side = sides[1] if cluster.vanished else sides[0]
         names = _seeing_cameras(side, cluster)
         camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
@@ -289,6 +293,7 @@ def _seeing_cameras(side: _Side, cluster: ChangeCluster) -> list[str]:
         visible = seen_by(X, sigma, night, name)
         if visible.mean() >= _LEAST_SEEN_SHARE:
             x, _ = project(night.cameras[name], X[visible])
+            # Size of its box in the image, less where parts are hidden; negative, so that the largest is first.
             box_px = float(np.prod(np.ptp(x, axis=0) + 1))
             candidates.append((-box_px * float(visible.mean()), name))
     return [name for _, name in sorted(candidates)]

@@ -167,7 +167,7 @@ def _size_text(frame: Frame) -> str:
 
 def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
     """The state of a camera whose picture has been registered: in place, shifted, or moved."""
-    limit = max(nudged_px, _sway(usual))
+    limit = max(nudged_px, _sway(usual))  # a mast sways every night
     case.figures |= {
         "motion_px": turn.motion_px,
         "shift_x_px": float(turn.shift[0]),
@@ -207,6 +207,7 @@ def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: f
 
 def _unregistered_state(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame, frame: Frame, K: Float64s) -> CameraHealth:
     """The state of a camera whose picture cannot be registered near its old place."""
+    # Far from its old place, patches cannot be found again: features of the whole picture are compared instead.
     search = search_globally(grey1, grey2, pinned.mask, frame.mask, K)
     case.figures |= {"matches": float(search.matches), "agreeing": float(search.agreeing)}
     if search.turn_deg is not None:
@@ -229,6 +230,7 @@ def _sway(usual: Usual | None) -> float:
     if usual is None or len(usual.shift_x_px) < _FEWEST_NIGHTS:
         return 0.0
     shifts = np.stack([usual.shift_x_px, usual.shift_y_px])
+    # 1.4826 turns the median distance from the median place into a standard deviation, which single nights cannot spoil.
     distances = np.linalg.norm(shifts - np.median(shifts, axis=1, keepdims=True), axis=0)
     return float(_SIGMAS * 1.4826 * np.median(distances))
 
@@ -282,6 +284,7 @@ def _relative_sharpness(grey1: Uint8s, grey2: Uint8s, matches: Found, turn: Turn
 
 def _relative_detail(grey: Uint8s, points: Float64s) -> Float32s:
     """(n,) mean absolute Laplacian around points (n, 2), relative to the standard deviation there: light changes both alike."""
+    # The Laplacian of a hardly smoothed picture: detail of a pixel or two, which blur destroys first.
     fine = np.abs(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.CV_32F))
     values = np.asarray(grey, dtype=np.float32)
     mean = cv2.blur(values, (15, 15))

@@ -165,13 +165,17 @@ def _with_shared_turns(healths: Mapping[str, CameraHealth], views: Mapping[str, 
 def _with_solved(held: Poses, poses: Poses | Rejected, free: list[str]) -> Poses:
     """The held cameras, and those of the free ones that could be solved in the same world."""
     # What the reference says about the free cameras no longer holds.
-    checks = {name: check for name, check in held.pair_checks.items() if not _concerns(name, free)}
+    checks = {}
+    for pair_name, check in held.pair_checks.items():
+        if not _concerns(pair_name, free):
+            checks[pair_name] = check
     other_reasons = {name: reason for name, reason in held.unsolved.items() if name not in free}
-    components = tuple(tuple(name for name in group if name not in free) for group in held.components)
-    components = components or ((),)
+    components = []
+    for group in held.components or ((),):
+        components.append(tuple(name for name in group if name not in free))
     if isinstance(poses, Rejected):
         reasons = dict.fromkeys(free, f"moved, and not solved: {poses.reason}")
-        return replace(held, pair_checks=checks, unsolved=other_reasons | reasons, components=components)
+        return replace(held, pair_checks=checks, unsolved=other_reasons | reasons, components=tuple(components))
 
     solved = {}
     reasons = {}
@@ -181,12 +185,14 @@ def _with_solved(held: Poses, poses: Poses | Rejected, free: list[str]) -> Poses
         else:
             why = poses.unsolved.get(name, "its pairs do not connect it with the others")
             reasons[name] = f"moved, and not solved: {why}"
-    new_checks = {name: check for name, check in poses.pair_checks.items() if _concerns(name, free)}
+    for pair_name, check in poses.pair_checks.items():
+        if _concerns(pair_name, free):
+            checks[pair_name] = check
     return replace(
         held,
         cameras={**held.cameras, **solved},
         unsolved=other_reasons | reasons,
-        pair_checks={**checks, **new_checks},
+        pair_checks=checks,
         components=((*components[0], *solved), *components[1:]),
         sources={**held.sources, **dict.fromkeys(solved, "solved")},
         source="mixed",

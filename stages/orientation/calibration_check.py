@@ -236,8 +236,11 @@ def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair
     """
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
     confirmed, _ = _evidence(stated, geometries)
-    shared_causes = [cause for cause in _causes(stated, confirmed, unconfirmed=False) if cause.unknowns and not cause.cameras]
-    return min(_fit(cause, stated, confirmed).loss for cause in shared_causes) / _own_loss(confirmed)
+    losses = []
+    for cause in _causes(stated, confirmed, unconfirmed=False):
+        if cause.unknowns and not cause.cameras:
+            losses.append(_fit(cause, stated, confirmed).loss)
+    return min(losses) / _own_loss(confirmed)
 
 
 def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -> CalibrationCheck | None:
@@ -245,8 +248,11 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
 
     These matches are ten times as accurate as keypoints, so they reveal small errors.  Those of a few pairs may be look-alikes.
     """
-    sufficient = {pair: tiles for pair, tiles in rows.items() if len(tiles.x1) >= FEWEST_TILES}
-    evidence = [_Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, 0.0) for pair, tiles in sufficient.items()]
+    # These matches were found along the rows of the stated cameras: they have no geometry of their own, so no own loss.
+    evidence = []
+    for pair, tiles in rows.items():
+        if len(tiles.x1) >= FEWEST_TILES:
+            evidence.append(_Matches(pair, tiles.x1, tiles.x2, tiles.sigma_px, own_loss=0.0))
     if not evidence:
         return None
     stated = {name: _CheckedView(camera) for name, camera in cameras.items()}
@@ -269,8 +275,8 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
 
     # 3. Is it more than noise, and than the errors that cameras always have?
     gain = max(sum(_counts(evidence)) * (loss - best.loss), 0.0)
-    graph = nx.Graph(list(sufficient))
-    is_confirmed = len(sufficient) >= len(cameras) == len(graph) and nx.is_connected(graph)
+    graph = nx.Graph([matches.pair for matches in evidence])
+    is_confirmed = len(evidence) >= len(cameras) == len(graph) and nx.is_connected(graph)
     check = CalibrationCheck(
         matches=sum(len(matches.x1) for matches in evidence),
         pairs=len(evidence),
@@ -373,7 +379,8 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
     has_strayed = stated_medians > STRAYED_SIGMAS
     if has_strayed.sum() < FEWEST_RECOVERED:
         return check
-    candidates: list[tuple[_Explanation, list[_Matches]]] = []  # with the pairs that are near their lines
+    # 1. Causes that bring back enough pairs and make none stray, each with the pairs that are then near their lines.
+    candidates: list[tuple[_Explanation, list[_Matches]]] = []
     for cause in _causes(stated, evidence, unconfirmed=False):
         explanation = _fit(cause, stated, evidence)
         medians = np.array([_median_distance(explanation.world, m) for m in evidence])
@@ -383,6 +390,7 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
             candidates.append((explanation, [m for m, fits in zip(evidence, is_near, strict=True) if fits]))
     if not candidates:
         return check
+    # 2. Those with the most such pairs; of these the simplest, by the pairs of the one that fits best.
     most_near = max(len(near) for _, near in candidates)
     ties = [candidate for candidate in candidates if len(candidate[1]) == most_near]
     _, near = min(ties, key=lambda tie: tie[0].loss)
@@ -439,9 +447,12 @@ def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> 
     tolerance: of the agreement, in standard errors of the median.
     """
     losses = []
-    for m in evidence:
-        agrees = _median_distance(world, m) <= AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(m.x1))
-        losses.append(m.own_loss if agrees else _loss(world, [m]))
+    for matches in evidence:
+        limit = AGREEING_SIGMAS + tolerance * MEDIAN_ERROR / sqrt(len(matches.x1))
+        if _median_distance(world, matches) <= limit:
+            losses.append(matches.own_loss)
+        else:
+            losses.append(_loss(world, [matches]))
     return float(np.average(losses, weights=_counts(evidence)))
 
 

@@ -134,6 +134,7 @@ class _Site:
 
     def _reach_px(self, pair: Pair, plane: Float64s) -> float:
         """Search radius in pixels for patches of a plane, at some distance from the cameras (`_REACH_HEIGHTS`)."""
+        # Errors of both cameras move the patch.
         variance = 0.0
         for name in pair:
             camera = self.known[name]
@@ -146,6 +147,7 @@ class _Site:
 def _planes(site: _Site) -> list[Float64s]:
     """Planes that may be the ground: those on which, in small images, the stated poses are right to a pixel or two."""
     planes: list[Float64s] = []
+    # The smaller the images, the larger the errors of poses at which patches still agree.
     for times in (1, 2):
         for plane in likely_planes(site.views(site.known, times)):
             if _is_apart(plane, planes, site.known, 0.5 * _SAME_HEIGHT):
@@ -155,6 +157,7 @@ def _planes(site: _Site) -> list[Float64s]:
 
 def _is_apart(plane: Float64s, others: list[Float64s], cameras: Mapping[str, Camera], share: float) -> bool:
     """Is a plane higher or lower than all others, by more than a share of the height of the lowest camera above it?"""
+    # Heights are compared below the middle of the cameras: planes that differ only in tilt there are the same.
     height = min(float(plane[:3] @ camera.C + plane[3]) for camera in cameras.values())
     centre = np.mean([camera.C for camera in cameras.values()], axis=0)
     differences = [abs(float((plane[:3] - other[:3]) @ centre + plane[3] - other[3])) for other in others]
@@ -167,6 +170,7 @@ def _fit_finely(site: _Site, fit: _Fit) -> _Fit:
     patches = site.matches(cameras, fit.plane, 0, _FINE_MATCHES, _FINE_REACH_PX)
     combined: dict[Pair, Geometry] = {}
     for pair, geometry in site.pairs.items():
+        # Keypoints tie the cameras to things above the ground, patches to the ground.
         x1, x2 = _not_below(geometry, cameras[pair[0]], cameras[pair[1]], fit.plane)
         if pair in patches:
             x1 = np.concatenate([x1, patches[pair].x1])

@@ -83,10 +83,11 @@ def with_principal_points(model: Model) -> Model:
         return model
     cameras = dict(model.cameras)
     for first_view, correction in _principal_points(model, _equations(model), CENTRE_SIGMA).items():
-        for view in [view for view in cameras if model.lenses.get(view) == model.lenses[first_view]]:
-            K = cameras[view].K.copy()
-            K[:2, 2] += correction.step
-            cameras[view] = replace(cameras[view], K=K)
+        for view, camera in model.cameras.items():
+            if model.lenses.get(view) == model.lenses[first_view]:
+                K = camera.K.copy()
+                K[:2, 2] += correction.step
+                cameras[view] = replace(camera, K=K)
     return refine(replace(model, cameras=cameras), rounds=3)
 
 
@@ -100,14 +101,22 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
     equations = _equations(model)
     covariances = _covariances(equations, _principal_points(model, equations, centre_sigma))
     sigmas = {}
-    for view in [view for view in equations.columns if view in model.lenses]:
+    for view in equations.columns:
+        if view not in model.lenses:
+            continue
         columns = equations.columns[view][_POSE:]
         camera = model.cameras[view]
         shrinkage = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
+        px = []
+        f = []
+        for covariance in covariances:
+            own = covariance[np.ix_(columns, columns)]
+            px.append(_border_px(camera, own))
+            f.append(float(np.sqrt(own[2, 2])))
         # The larger of noise and parts of the scene counts, and the principal point in addition.
-        noise_px, parts_px, centre_px = (_border_px(camera, covariance[np.ix_(columns, columns)]) for covariance in covariances)
+        noise_px, parts_px, centre_px = px
+        noise_f, parts_f, centre_f = f
         border_px = np.hypot(max(noise_px, shrinkage * parts_px), shrinkage * centre_px)
-        noise_f, parts_f, centre_f = (float(np.sqrt(covariance[columns[2], columns[2]])) for covariance in covariances)
         focal_sigma = np.hypot(max(noise_f, parts_f), centre_f) / camera.K[0, 0]
         sigmas[view] = LensSigma(focal=float(focal_sigma), border_px=float(border_px))
     return sigmas
@@ -123,8 +132,10 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
     by_noise, jackknife, step = _solve_columns(equations, columns)
     corrections = {}
     for view, centre in equations.centres.items():
+        # Its uncertainty from the noise, and from the parts of the scene: the larger counts.
         by_parts = jackknife[:, centre].T @ jackknife[:, centre]
         measured = max(by_noise[np.ix_(centre, centre)], by_parts, key=np.trace)
+        # The mean of prior (the image centre) and measurement, each weighted by the inverse of its covariance.
         prior = np.eye(2) * (centre_sigma * model.cameras[view].width) ** 2
         gain = prior @ np.linalg.inv(prior + measured)
         prior_share = np.eye(2) - gain
@@ -139,12 +150,17 @@ def _principal_points(model: Model, equations: _Equations, centre_sigma: float) 
 
 def _border_px(camera: Camera, covariance: Float64s) -> float:
     """Standard deviation of border pixels, from the covariance (5, 5) of cx, cy, f, k1, k2, apart from what a rotation undoes."""
-    x, y = np.linspace(0.02, 0.98, 17) * (camera.width - 1), np.linspace(0.02, 0.98, 11) * (camera.height - 1)
+    x = np.linspace(0.02, 0.98, 17) * (camera.width - 1)
+    y = np.linspace(0.02, 0.98, 11) * (camera.height - 1)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     border = np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
-    (turn, lens), (border_turn, border_lens) = (_derivatives_at(camera, pixels) for pixels in (grid.reshape(-1, 2), border))
-    remaining = border_lens - border_turn @ np.linalg.lstsq(turn, lens, rcond=None)[0]
-    return float(np.sqrt(max(np.einsum("ni,ij,nj->", remaining, covariance, remaining) / len(border), 0.0)))
+    turn, lens = _derivatives_at(camera, grid.reshape(-1, 2))
+    border_turn, border_lens = _derivatives_at(camera, border)
+    # The rotation that best undoes a change of the lens over the whole image leaves this at the border.
+    undoing = np.linalg.lstsq(turn, lens, rcond=None)[0]
+    remaining = border_lens - border_turn @ undoing
+    variance = np.einsum("ni,ij,nj->", remaining, covariance, remaining) / len(border)
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def _derivatives_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
@@ -163,7 +179,9 @@ def _derivatives(Y: Float64s, lens: Float64s) -> tuple[Float64s, Float64s]:
     f, k1, k2 = lens.T
     x = Y[:, :2] / Y[:, 2:]
     r2 = (x * x).sum(axis=1)
-    factor, slope = 1 + r2 * (k1 + r2 * k2), k1 + 2 * r2 * k2
+    # px = f factor(r2) x, with factor = 1 + k1 r2 + k2 r2^2, and slope its derivative by r2.
+    factor = 1 + r2 * (k1 + r2 * k2)
+    slope = k1 + 2 * r2 * k2
     px_by_x = f[:, None, None] * (factor[:, None, None] * np.eye(2) + 2 * slope[:, None, None] * x[:, :, None] * x[:, None, :])
     x_by_point = np.concatenate([np.tile(np.eye(2), (len(Y), 1, 1)), -x[:, :, None]], axis=2) / Y[:, 2][:, None, None]
     px_by_lens = np.stack([factor[:, None] * x, (f * r2)[:, None] * x, (f * r2 * r2)[:, None] * x], axis=2)
@@ -232,9 +250,12 @@ def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> 
     """Covariances (n, n) of all cameras and lenses: from the noise, from the parts of the scene, and from the remaining
     uncertainty of the principal points."""
     by_noise, jackknife, _ = _solve_columns(equations, equations.solved)
-    by_centre, total, jackknife = np.zeros_like(by_noise), equations.H.sum(axis=0), jackknife.copy()
+    by_centre = np.zeros_like(by_noise)
+    total = equations.H.sum(axis=0)
+    jackknife = jackknife.copy()
     solved = by_noise
     for view, centre in centres.items():
+        # (n, 2): how far all parameters move if the principal point is moved by a pixel.
         sensitivity = -solved @ total[:, equations.centres[view]]
         sensitivity[equations.centres[view]] = np.eye(2)
         by_noise = by_noise + sensitivity @ centre.by_noise @ sensitivity.T
@@ -246,7 +267,8 @@ def _covariances(equations: _Equations, centres: dict[int, _PrincipalPoint]) -> 
 def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Float64s, Float64s]:
     """Solve some of the parameters, named by their columns: their covariance (n, n); their changes (parts, n) without each part,
     scaled so that squares add up to variances; and the step (n,) that they would still take."""
-    H, pulls = equations.H[:, columns[:, None], columns], equations.pulls[:, columns]
+    H = equations.H[:, columns[:, None], columns]
+    pulls = equations.pulls[:, columns]
     total = H.sum(axis=0)
     total[np.diag_indices_from(total)] *= 1 + _REGULARISATION
     scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
@@ -300,16 +322,20 @@ def _reduced(J: Float64s, P: Float64s, inverse: Float64s, columns: Int64s, point
 
     Points with equally many observations are processed together, and touch only the cameras that see them.
     """
-    H, count = np.zeros(size * size), len(inverse)
+    count = len(inverse)
+    H = np.zeros(size * size)
     np.add.at(H, (columns[:, :, None] * size + columns[:, None, :]).ravel(), np.einsum("nki,nkj->nij", J, J).ravel())
     coupling = np.einsum("nki,nkj->nij", J, P)
-    first_row, sightings = np.searchsorted(point_of, np.arange(count)), np.bincount(point_of, minlength=count)
+    # Observations are sorted by point: those of a point begin at its first row.
+    first_row = np.searchsorted(point_of, np.arange(count))
+    sightings = np.bincount(point_of, minlength=count)
     for n in np.unique(sightings).tolist():
         points = np.flatnonzero(sightings == n)
         for k in range(0, len(points), _BATCH_POINTS):
             batch = points[k : k + _BATCH_POINTS]
             rows = first_row[batch][:, None] + np.arange(n)
-            W, coupled = coupling[rows].reshape(len(batch), -1, 3), columns[rows].reshape(len(batch), -1)
+            W = coupling[rows].reshape(len(batch), -1, 3)
+            coupled = columns[rows].reshape(len(batch), -1)
             eliminated = W @ inverse[batch] @ np.swapaxes(W, 1, 2)
             np.subtract.at(H, (coupled[:, :, None] * size + coupled[:, None, :]).ravel(), eliminated.ravel())
     return H.reshape(size, size)

@@ -99,8 +99,13 @@ def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseCons
             resolved = key in revised and not revised[key].contradicts
             if resolved and CLEARER_RATIO * revised[key].excess <= stated[key].excess:
                 supporters.append(key)
-        partners = {other for key in supporters if len(key) == 2 for other in key if other != name}
-        has_triplet = any(len(key) == 3 for key in supporters)
+        partners: set[str] = set()
+        has_triplet = False
+        for key in supporters:
+            if len(key) == 2:
+                partners |= set(key) - {name}
+            else:
+                has_triplet = True
         if (len(partners) < 2 and not has_triplet) or len(supporters) <= remaining:
             continue
         supporting_pairs = tuple(pair for pair in against.pairs if pair in supporters)
@@ -113,8 +118,8 @@ def _agreed_pose(name: str, cameras: Mapping[str, Camera], constraints: PoseCons
 
 def _distinctive(constraints: PoseConstraints, keys: list[tuple[str, ...]]) -> PoseConstraints:
     """Of the constraints between some cameras (`keys`), those whose pairs all have distinctive matches in enough cells."""
-    similar = [pair for pair, geometry in constraints.pairs.items() if geometry.distinct_cells < MIN_CELLS]
-    distinctive = {key for key in keys if not any(set(pair) <= set(key) for pair in similar)}
+    indistinct = [pair for pair, geometry in constraints.pairs.items() if geometry.distinct_cells < MIN_CELLS]
+    distinctive = {key for key in keys if not any(set(pair) <= set(key) for pair in indistinct)}
     pairs = {pair: geometry for pair, geometry in constraints.pairs.items() if pair in distinctive}
     triplets = tuple(triplet for triplet in constraints.triplets if triplet.cameras in distinctive)
     return PoseConstraints(pairs, triplets)
@@ -178,7 +183,8 @@ def _fitted(name: str, start: Camera, cameras: Mapping[str, Camera], constraints
     from scipy.optimize import least_squares  # imported here, since nights with right poses do not need it
 
     # Shifts are in units of the distance to the nearest camera, so that all unknowns are of similar size.
-    scale = min(float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name) or 1.0
+    distances = [float(np.linalg.norm(start.C - camera.C)) for other, camera in cameras.items() if other != name]
+    scale = min(distances) or 1.0
     matches = []
     for pair, geometry in constraints.pairs.items():
         x1, x2 = _thinned(geometry.x1, geometry.x2)

@@ -166,13 +166,17 @@ def check_cameras(
     checks: dict[str, PoseCheck] = {}
     ids = {name: camera_id(name, camera) for name, camera in cameras.items()}
     for name in cameras:
-        own_pairs = {pair: g for pair, g in geometries.items() if name in pair and set(pair) <= set(cameras)}
-        own_pairs = {pair: g for pair, g in own_pairs.items() if g.good_probability >= LEAST_PROBABILITY}
-        if own_pairs:
-            errors = [epipolar_error_px(cameras, pair, g) for pair, g in own_pairs.items()]
-            inliers = sum(g.inliers for g in own_pairs.values())
-            is_verified = verified({view for view in cameras if ids[view] == ids[name]}, evidence)
-            checks[name] = PoseCheck(len(own_pairs), inliers, float(np.median(errors)), verified=is_verified)
+        errors = []
+        inliers = 0
+        for pair, geometry in geometries.items():
+            is_probable = geometry.good_probability >= LEAST_PROBABILITY
+            if name in pair and set(pair) <= set(cameras) and is_probable:
+                errors.append(epipolar_error_px(cameras, pair, geometry))
+                inliers += geometry.inliers
+        if errors:
+            views = {view for view in cameras if ids[view] == ids[name]}
+            is_verified = verified(views, evidence)
+            checks[name] = PoseCheck(len(errors), inliers, float(np.median(errors)), verified=is_verified)
     return checks
 
 
@@ -215,6 +219,7 @@ def turned_deg(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) ->
 
 def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float | None:
     """Median distance from points of the two views at the widest angle to their pixels in the third; None if there are few."""
+    # Each view in turn is the one whose pixels are predicted from the other two.
     found: list[tuple[float, float]] = []
     for third in reversed(triplet.cameras):
         x, X = seen_points(cameras, triplet, third)
@@ -268,6 +273,7 @@ def _common_rows(i: Int32s | None, x: Float64s, j: Int32s | None, y: Float64s) -
 def _intersections(left: Camera, right: Camera, x1: Float64s, x2: Float64s) -> Float64s:
     """(n, 3) world points of matches, nan if the rays are too parallel."""
     X = backproject(left, x1, triangulate_depth(left, right, x1, x2)[0])
+    # "not greater": the angle of points that could not be triangulated is nan.
     X[~(ray_angles(X - left.C, X - right.C) > MIN_ANGLE)] = np.nan
     return X
 
@@ -291,15 +297,19 @@ def without_baseline(
     """
     angles = {}
     for pair, geometry in geometries.items():
+        # Pairs without a baseline are improbable, since nothing but their rotation is determined; they count as matched, too.
         is_matched = geometry.good_probability >= LEAST_PROBABILITY or hardly_converging(geometry.angle_deg, geometry.agreement)
-        if is_matched and len(geometry.x1) >= MIN_SHARED:
-            angle = geometry.angle_deg
-            if set(pair) <= set(known):
-                directions = (rays(known[name], x).T for name, x in zip(pair, (geometry.x1, geometry.x2), strict=True))
-                angle = float(np.degrees(np.median(ray_angles(*directions))))
-            if np.isfinite(angle):
-                angles[pair] = angle
-    if {name for pair in angles for name in pair} != set(names) or max(angles.values()) >= min_angle_deg:
+        if not is_matched or len(geometry.x1) < MIN_SHARED:
+            continue
+        angle = geometry.angle_deg
+        if set(pair) <= set(known):
+            rays1 = rays(known[pair[0]], geometry.x1).T
+            rays2 = rays(known[pair[1]], geometry.x2).T
+            angle = float(np.degrees(np.median(ray_angles(rays1, rays2))))
+        if np.isfinite(angle):
+            angles[pair] = angle
+    covered = {name for pair in angles for name in pair}
+    if covered != set(names) or max(angles.values()) >= min_angle_deg:
         return None
     widest = max(angles, key=angles.__getitem__)
     figures = {
@@ -309,9 +319,11 @@ def without_baseline(
     }
     if not metric or not set(widest) <= set(known):
         return Rejected(Reason.NO_USABLE_BASELINE, figures)
-    left, right = (known[name] for name in widest)
-    rays1 = rays(left, geometries[widest].x1)
-    direction = (rays1 / np.linalg.norm(rays1, axis=0)).mean(axis=1)
+    # In metres: only the part of the baseline across the mean direction of view makes rays converge.
+    left = known[widest[0]]
+    right = known[widest[1]]
+    left_rays = rays(left, geometries[widest].x1)
+    direction = (left_rays / np.linalg.norm(left_rays, axis=0)).mean(axis=1)
     across = np.cross(right.C - left.C, direction / np.linalg.norm(direction))
     figures["baseline_m"] = float(np.linalg.norm(right.C - left.C))
     figures["distance_m"] = float(np.linalg.norm(across)) * figures["baselines"]

@@ -88,9 +88,13 @@ def solve_from_pairs(
     for edge in graph.geometries:
         checks["--".join(graph.ids(edge))] = _check(graph, edge, cameras, dropped.get(edge), max_epipolar_px)
     unsupported = {graph.names[view] for view in removed}
-    unsolved = {name: _why_unsolved(graph, name, dropped, unsupported) for name in graph.names if name not in cameras}
-    suspects = {name for world in worlds for name in world.suspects}
-    sound = (set(stated) & set(cameras)) - suspects
+    unsolved = {}
+    for name in graph.names:
+        if name not in cameras:
+            unsolved[name] = _why_unsolved(graph, name, dropped, unsupported)
+    sound = set(stated) & set(cameras)
+    for world in worlds:
+        sound -= set(world.suspects)
     source = "mixed" if sound else "solved"
     issues = _issues(graph, worlds, strained, checks, stated)
     poses = _poses_of(graph, worlds, main, cameras, unsolved, checks, source)
@@ -111,7 +115,10 @@ def _poses_of(
     for name, camera in cameras.items():
         names_of_component.setdefault(camera.component, []).append(name)
     components = tuple(tuple(names_of_component.get(k, ())) for k in range(1 + max(names_of_component)))
-    solved_lenses = [name for view, name in enumerate(graph.names) if view in graph.lenses.solved]
+    focals = []
+    for view, name in enumerate(graph.names):
+        if view in graph.lenses.solved and name in cameras:
+            focals.append(name)
     errors = np.concatenate([world.model.error_px()[world.model.use] for world in worlds])
     points = 0
     for world in worlds:
@@ -123,7 +130,7 @@ def _poses_of(
         metric=main.metric,
         source=source,
         pair_checks=checks,
-        focals=tuple(name for name in solved_lenses if name in cameras),
+        focals=tuple(focals),
         components=components,
         joins=_joins(graph, components),
         scale=main.scale,
@@ -193,8 +200,10 @@ def _issues(
     contradicted = []
     for world in worlds:
         moved |= world.suspects
-        unverified += [PoseIssue("unverified", name, reason, True) for name, reason in world.doubtful.items()]
-        contradicted += [PoseIssue("contradicted", name, reason, True) for name, reason in world.contradicting.items()]
+        for name, reason in world.doubtful.items():
+            unverified.append(PoseIssue("unverified", name, reason, True))
+        for name, reason in world.contradicting.items():
+            contradicted.append(PoseIssue("contradicted", name, reason, True))
 
     # 2. Lenses that the images do not determine.
     sigmas = {}
@@ -315,7 +324,10 @@ def _joins(graph: ViewGraph, components: Sequence[Sequence[str]]) -> tuple[str, 
 
     def strength(name: str) -> tuple[int, str]:
         view = graph.names.index(name)
-        inliers = sum(geometry.inliers for edge, geometry in graph.geometries.items() if view in edge)
+        inliers = 0
+        for edge, geometry in graph.geometries.items():
+            if view in edge:
+                inliers += geometry.inliers
         return inliers, name
 
     first, *others = [max(component, key=strength) for component in components]

@@ -68,7 +68,11 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     cameras = model.cameras
     first = first_views(cameras)
     first_cameras = {view: camera for view, camera in cameras.items() if first[view] == view}
-    known = {view: placements[graph.names[view]] for view in first_cameras if graph.names[view] in placements}
+    known = {}
+    for view in first_cameras:
+        name = graph.names[view]
+        if name in placements:
+            known[view] = placements[name]
     landmarks = _pose_landmarks(graph, cameras, known)
     landmarks += control_landmarks(cameras, graph.names, graph.views, survey)
     up = upward([replace(camera, R=camera_R(camera)) for camera in first_cameras.values()])
@@ -195,7 +199,10 @@ def _own_frame(
     Without a scale, the median baseline of the matched pairs becomes 1.
     """
     if scale is None:
-        baselines = [np.linalg.norm(cameras[i].C - cameras[j].C) for i, j in graph.geometries if i in cameras and j in cameras]
+        baselines = []
+        for i, j in graph.geometries:
+            if i in cameras and j in cameras:
+                baselines.append(np.linalg.norm(cameras[i].C - cameras[j].C))
         scale = 1 / float(np.median(baselines))
     # The camera's x axis, made horizontal.
     first_camera = cameras[min(cameras)]
@@ -303,7 +310,10 @@ def align(landmarks: Sequence[Landmark], up: Float64s, depth: float, scale: floa
             break
         similarity = refitted
     names = tuple(landmark.name for landmark in agreeing(similarity))
-    deviations = {mark.name: _deviation(similarity, mark) for mark in landmarks if mark.name not in names}
+    deviations = {}
+    for landmark in landmarks:
+        if landmark.name not in names:
+            deviations[landmark.name] = _deviation(similarity, landmark)
     return Alignment(similarity, names, deviations)
 
 
@@ -432,7 +442,10 @@ def control_landmarks(
     )
     X = triangulate(cameras, tracks, np.ones(len(rows), bool), 1.0)
     triangulated = np.flatnonzero(np.isfinite(X[:, 0]))
-    return [Landmark(f"control point {k + 1}", X[k], np.array(survey.points[k])) for k in triangulated.tolist()]
+    landmarks = []
+    for k in triangulated.tolist():
+        landmarks.append(Landmark(f"control point {k + 1}", X[k], np.array(survey.points[k])))
+    return landmarks
 
 
 def _in_frame(x: Float64s, view: View, camera: Camera) -> Float64s:
