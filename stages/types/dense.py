@@ -158,10 +158,13 @@ class DepthMap(Record):
 
     def support_of(self, partners: tuple[str, ...]) -> Uint32s:
         """(h, w) `support` with the bits of other partners; a partner that is not among them is left out."""
-        support, positions = np.zeros_like(self.support), {name: k for k, name in enumerate(partners)}
+        positions = {name: k for k, name in enumerate(partners)}
+        support = np.zeros_like(self.support)
         for k, name in enumerate(self.partners):
             if name in positions:
-                support |= (self.support >> np.uint32(k) & np.uint32(1)) << np.uint32(positions[name])
+                # bit k, moved to the partner's new place
+                bit = self.support >> np.uint32(k) & np.uint32(1)
+                support |= bit << np.uint32(positions[name])
         return support
 
 

@@ -161,5 +161,12 @@ class Changes(Record):
     """`metric` and `crs`: see `Poses`."""
 
 
-SAME, NEW, VANISHED, UNKNOWN = 0, 1, 2, 3
-"""Values of `Changes.label`."""
+# Values of `Changes.label`
+SAME = 0
+"""A point of tonight that belongs to no change."""
+NEW = 1
+"""A point of tonight that belongs to a change."""
+VANISHED = 2
+"""A point of the reference that belongs to a change."""
+UNKNOWN = 3
+"""A point of either night of which the other night's cameras cannot tell."""

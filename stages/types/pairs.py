@@ -102,8 +102,13 @@ Found = TypeVar("Found", Matches, Geometry)
 
 def at_rows(found: Found, rows: Bools | Int64s) -> Found:
     """The matches or geometry, with some of its matches only.  rows: (n,) bool, or row numbers."""
-    names = ("x1", "x2", "i1", "i2", "probability", "affine", "noise_px")
-    return replace(found, **{name: values[rows] for name in names if (values := getattr(found, name, None)) is not None})
+    kept = {}
+    for name in ("x1", "x2", "i1", "i2", "probability", "affine", "noise_px"):
+        # only geometry has `noise_px`; matches without keypoints have no rows and no affine maps
+        values = getattr(found, name, None)
+        if values is not None:
+            kept[name] = values[rows]
+    return replace(found, **kept)
 
 
 @dataclass(frozen=True)

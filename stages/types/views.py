@@ -129,5 +129,8 @@ class Features(Record):
     """How the image was prepared: "none" or "clahe"."""
 
 
-PLAIN, TILTED = 0, 1
-"""Values of `Features.tilts`."""
+# Values of `Features.tilts`
+PLAIN = 0
+"""The frame as it is."""
+TILTED = 1
+"""The frame compressed by 2 in x."""
