@@ -13,21 +13,31 @@ import numpy as np
 from ..core.ground_grid import cell_centres
 from ..io.clouds import Columns
 from ..io.rasters import geotiff, jpeg, png
-from ..types import Camera, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
+from ..types import Camera, Change, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
 
 _WIDTH = 960
+"""Longer side of a map, pixels, before it is extended for cameras: cells get as many whole pixels as fit."""
 _QUALITY = 85
+"""JPEG quality of pictures, per cent."""
 _BACKGROUND = (24, 24, 24)
+"""Colour of places of which nothing is known, RGB."""
+_MARGIN_PX = 20
+"""Distance of cameras from the edge of a map, pixels."""
+_NEAREST_CELL = 0.75
+"""A pixel of a GeoTIFF shows a cell whose centre is within this many cell widths: a little more than half a diagonal."""
 _COLOURS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
-"""Colours for 0, 1, 2, ... cameras; the last one also stands for more."""
+"""Colours for 0, 1, 2, ... cameras, RGB; the last one also stands for more."""
+_MOST_VIEWS = len(_COLOURS) - 1
+"""Number of cameras from which on the colour stays the same."""
 
 
 def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
     """coverage.png, and coverage.tif if the site is georeferenced: cameras, angle and expected error of each cell."""
     yield "coverage.png", png(_map(coverage))
     if coverage.crs:
+        views = np.where(np.isfinite(coverage.heights), coverage.views, np.nan).astype(np.float32)
         layers = {
-            "cameras that see it": np.where(np.isfinite(coverage.heights), coverage.views, np.nan).astype(np.float32),
+            "cameras that see it": views,
             "best angle between rays, degrees": coverage.angle_deg,
             "expected error, metres": coverage.error,
         }
@@ -37,14 +47,19 @@ def coverage_files(coverage: Coverage) -> Iterator[tuple[str, bytes]]:
 def coverage_layer(coverage: Coverage) -> bytes:
     """Coverage for the report's map: length of a JSON header (uint32, little-endian), the header, and a PNG, transparent where
     unknown.  The header holds three corners of the image in the world, at ground height, and the legend of its colours."""
-    grid, known = coverage.grid, np.isfinite(coverage.heights)
+    grid = coverage.grid
+    known = np.isfinite(coverage.heights)
     level = float(np.median(coverage.heights[known])) if known.any() else 0.0
-    width, height = grid.columns * grid.cell, grid.rows * grid.cell
-    corners = [(grid.left, grid.top, level), (grid.left + width, grid.top, level), (grid.left, grid.top - height, level)]
-    colours = np.array(_COLOURS, np.uint8)[np.minimum(coverage.views, len(_COLOURS) - 1)]
-    image = np.dstack([colours, np.where(known, 255, 0).astype(np.uint8)])
-    names = [f"{k}{' or more' if k == len(_COLOURS) - 1 else ''}" for k in range(len(_COLOURS))]
-    legend = [[name, f"#{r:02x}{g:02x}{b:02x}"] for name, (r, g, b) in zip(names, _COLOURS, strict=True)]
+    right = grid.left + grid.columns * grid.cell
+    bottom = grid.top - grid.rows * grid.cell
+    corners = [(grid.left, grid.top, level), (right, grid.top, level), (grid.left, bottom, level)]
+    colours = np.array(_COLOURS, np.uint8)[np.minimum(coverage.views, _MOST_VIEWS)]
+    opacity = np.where(known, 255, 0).astype(np.uint8)
+    image = np.dstack([colours, opacity])
+    legend = []
+    for views, (red, green, blue) in enumerate(_COLOURS):
+        label = f"{views} or more" if views == _MOST_VIEWS else str(views)
+        legend.append([label, f"#{red:02x}{green:02x}{blue:02x}"])
     metadata = {"corners": (np.array(corners) @ grid.axes).tolist(), "legend": legend, "words": "cameras that see the ground"}
     header = json.dumps(metadata).encode()
     return struct.pack("<I", len(header)) + header + png(image)
@@ -68,21 +83,31 @@ def _map_geotiff(grid: GroundGrid, heights: Float32s, layers: Mapping[str, Float
     reference = georeference(crs)
     level = float(np.nanmedian(heights)) if np.isfinite(heights).any() else 0.0
     centres = reference.points(cell_centres(grid, np.full(heights.shape, level)))[:, :2]
-    low, high = np.floor(centres.min(axis=0) / grid.cell), np.ceil(centres.max(axis=0) / grid.cell)
+    # pixels as wide as the cells, on whole multiples of that width, north up: the site's own grid is turned against them
+    low = np.floor(centres.min(axis=0) / grid.cell)
+    high = np.ceil(centres.max(axis=0) / grid.cell)
     columns, rows = (high - low).astype(int)
-    x, y = np.meshgrid((low[0] + np.arange(columns) + 0.5) * grid.cell, (high[1] - np.arange(rows) - 0.5) * grid.cell)
+    easting = (low[0] + np.arange(columns) + 0.5) * grid.cell
+    northing = (high[1] - np.arange(rows) - 0.5) * grid.cell
+    x, y = np.meshgrid(easting, northing)
+    # each pixel shows the nearest cell, if there is one
     distance, nearest = cKDTree(centres).query(np.column_stack([x.ravel(), y.ravel()]), workers=1)
-    inside = distance < 0.75 * grid.cell
-    bands = [np.where(inside, v.ravel()[nearest], np.nan).reshape(rows, columns).astype(np.float32) for v in layers.values()]
-    left, top = low[0] * grid.cell, high[1] * grid.cell
+    inside = distance < _NEAREST_CELL * grid.cell
+    bands = []
+    for values in layers.values():
+        band = np.where(inside, values.ravel()[nearest], np.nan)
+        bands.append(band.reshape(rows, columns).astype(np.float32))
+    left = low[0] * grid.cell
+    top = high[1] * grid.cell
     return geotiff(np.stack(bands), left, top, grid.cell, reference.epsg, [*layers])
 
 
 def _map(coverage: Coverage, cameras: Mapping[str, Camera] | None = None) -> Uint8s:
     """(h, w, 3) uint8: number of cameras as colours, the cameras, and a legend below."""
-    views = np.minimum(coverage.views, len(_COLOURS) - 1)
-    colours = np.where(np.isfinite(coverage.heights)[..., None], np.array(_COLOURS, np.uint8)[views], np.uint8(_BACKGROUND[0]))
-    return _with_legend(draw_plan(coverage.grid, colours.astype(np.uint8), cameras or {}))
+    known = np.isfinite(coverage.heights)
+    colours = np.array(_COLOURS, np.uint8)[np.minimum(coverage.views, _MOST_VIEWS)]
+    colours = np.where(known[..., None], colours, np.array(_BACKGROUND, np.uint8)).astype(np.uint8)
+    return _with_legend(draw_plan(coverage.grid, colours, cameras or {}))
 
 
 def draw_plan(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) -> Uint8s:
@@ -92,36 +117,47 @@ def draw_plan(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) 
     image = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
     if not cameras:
         return image
-    pixel = {name: _grid_pixel(grid, camera.C, scale) for name, camera in cameras.items()}
-    all_pixels = np.array(list(pixel.values()))
-    size = np.array([image.shape[1], image.shape[0]])
-    shift = np.clip(np.ceil(20 - all_pixels.min(axis=0)), 0, size / 2).astype(int)
-    end_margin = np.clip(np.ceil(all_pixels.max(axis=0) + 20 - size), 0, size / 2).astype(int)
-    canvas = np.full((*(size + shift + end_margin)[::-1], 3), _BACKGROUND, np.uint8)
-    canvas[shift[1] : shift[1] + size[1], shift[0] : shift[0] + size[0]] = image
-    for name, camera in cameras.items():
-        ahead = grid.axes[:2] @ camera.R[2] * (1.0, -1.0)
+    # extend the image for the cameras, by at most half its size on each side: far ones are not shown
+    pixels = np.array([_grid_pixel(grid, camera.C, scale) for camera in cameras.values()])
+    width = image.shape[1]
+    height = image.shape[0]
+    size = np.array([width, height])
+    shift = np.clip(np.ceil(_MARGIN_PX - pixels.min(axis=0)), 0, size / 2).astype(int)
+    end_margin = np.clip(np.ceil(pixels.max(axis=0) + _MARGIN_PX - size), 0, size / 2).astype(int)
+    canvas_width, canvas_height = size + shift + end_margin
+    canvas = np.full((canvas_height, canvas_width, 3), _BACKGROUND, np.uint8)
+    left, top = shift
+    canvas[top : top + height, left : left + width] = image
+    white = (255, 255, 255)
+    for pixel, (name, camera) in zip(pixels + shift, cameras.items(), strict=True):
+        ahead = grid.axes[:2] @ camera.R[2] * (1.0, -1.0)  # rows grow southwards
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
         across = np.array([-ahead[1], ahead[0]])
-        corners = pixel[name] + shift + np.array([np.zeros(2), 22 * ahead + 10 * across, 22 * ahead - 10 * across])
-        cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, (255, 255, 255), 2, cv2.LINE_AA)
-        cv2.putText(canvas, name, tuple((pixel[name] + shift + 6).astype(int).tolist()), 0, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
+        corners = pixel + np.array([np.zeros(2), 22 * ahead + 10 * across, 22 * ahead - 10 * across])
+        cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, white, 2, cv2.LINE_AA)
+        text_x, text_y = (pixel + 6).astype(int).tolist()
+        cv2.putText(canvas, name, (text_x, text_y), 0, 0.45, white, 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
 
 
-def _grid_pixel(grid: GroundGrid, X: Float64s, scale: int) -> Float64s:
+def _grid_pixel(grid: GroundGrid, X: Float64s, scale: float) -> Float64s:
+    """(2,) pixel of a point (3,) on a plan of the grid; scale: pixels of a cell."""
     east, north = grid.axes[:2] @ X
-    return np.array([(east - grid.left) / grid.cell * scale, (grid.top - north) / grid.cell * scale])
+    column = (east - grid.left) / grid.cell * scale
+    row = (grid.top - north) / grid.cell * scale
+    return np.array([column, row])
 
 
 def _with_legend(image: Uint8s) -> Uint8s:
+    """The image with a strip below that shows the colours and their numbers of cameras."""
     width = max(image.shape[1], 60 * len(_COLOURS))
     canvas = np.full((image.shape[0] + 34, width, 3), _BACKGROUND, np.uint8)
     canvas[: image.shape[0], : image.shape[1]] = image
     for k, colour in enumerate(_COLOURS):
-        x, y = 8 + 58 * k, image.shape[0] + 8
+        x = 8 + 58 * k
+        y = image.shape[0] + 8
         cv2.rectangle(canvas, (x, y), (x + 18, y + 18), colour, -1)
-        label = f"{k}{'+' if k == len(_COLOURS) - 1 else ''}"
+        label = f"{k}+" if k == _MOST_VIEWS else str(k)
         cv2.putText(canvas, label, (x + 24, y + 15), 0, 0.5, (230, 230, 230), 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
 
@@ -137,14 +173,20 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     if there was no night to compare with."""
     if not changes.compared:
         return
-    yield (
-        "changes.ply",
-        {
-            **{name: changes.points[:, k] for k, name in enumerate(("x", "y", "z"))},
-            **{name: changes.colors[:, k] for k, name in enumerate(("red", "green", "blue"))},
-            **{name: getattr(changes, name) for name in ("distance", "sigma", "significance", "label", "blob")},
-        },
-    )
+    columns: Columns = {
+        "x": changes.points[:, 0],
+        "y": changes.points[:, 1],
+        "z": changes.points[:, 2],
+        "red": changes.colors[:, 0],
+        "green": changes.colors[:, 1],
+        "blue": changes.colors[:, 2],
+        "distance": changes.distance,
+        "sigma": changes.sigma,
+        "significance": changes.significance,
+        "label": changes.label,
+        "blob": changes.blob,
+    }
+    yield "changes.ply", columns
     yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
     for number, image in changes.crops.items():
         yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
@@ -155,26 +197,48 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
 
 def changes_data(changes: Changes) -> dict[str, Any]:
     """Content of changes.json: the changes with their numbers, volumes of the site and its zones, changed and unknown shares."""
-    rows = []
-    for number, change in changes.changes.items():
-        numbers = ("length", "width", "height", "area", "volume", "volume_sigma", "significance", "points")
-        row: dict[str, Any] = {"number": int(number), "kind": change.kind}
-        row["position"] = [round(v, 3) for v in (change.x, change.y, change.z)]
-        row |= {name: round(getattr(change, name), 3) for name in numbers}
-        row |= {"likeness": round(change.likeness, 3)} if change.likeness >= -1 else {}
-        row |= {"cameras": change.cameras.split(",") if change.cameras else []}
-        row |= {"zone": change.zone} if change.zone else {}
-        row |= {"from": [round(v, 3) for v in (change.from_x, change.from_y, change.from_z)]} if change.kind == "moved" else {}
-        row |= {"picture": f"change-{number}.jpg"} if number in changes.crops else {}
-        rows.append(row)
-    totals = {"changed_share": changes.changed_share, "unknown_share": changes.unknown_share, "noise": changes.noise}
-    data: dict[str, Any] = {"unit": "m" if changes.metric else "arbitrary"}
-    data |= {name: round(value, 5) for name, value in totals.items()}
-    data |= {"cut_fill": _volumes(changes.cut_fill)} if changes.cut_fill else {}
-    return data | {"zones": {name: _volumes(zone) for name, zone in changes.zones.items()}, "changes": rows}
+    data: dict[str, Any] = {
+        "unit": "m" if changes.metric else "arbitrary",
+        "changed_share": round(changes.changed_share, 5),
+        "unknown_share": round(changes.unknown_share, 5),
+        "noise": round(changes.noise, 5),
+    }
+    if changes.cut_fill:
+        data["cut_fill"] = _volumes(changes.cut_fill)
+    data["zones"] = {name: _volumes(zone) for name, zone in changes.zones.items()}
+    data["changes"] = [_change_entry(number, change, number in changes.crops) for number, change in changes.changes.items()]
+    return data
+
+
+def _change_entry(number: str, change: Change, has_picture: bool) -> dict[str, Any]:
+    """One change of changes.json; entries that do not apply to it are left out."""
+    entry: dict[str, Any] = {
+        "number": int(number),
+        "kind": change.kind,
+        "position": [round(change.x, 3), round(change.y, 3), round(change.z, 3)],
+        "length": round(change.length, 3),
+        "width": round(change.width, 3),
+        "height": round(change.height, 3),
+        "area": round(change.area, 3),
+        "volume": round(change.volume, 3),
+        "volume_sigma": round(change.volume_sigma, 3),
+        "significance": round(change.significance, 3),
+        "points": round(change.points, 3),
+    }
+    if change.likeness >= -1:  # -2 where the photographs show nothing
+        entry["likeness"] = round(change.likeness, 3)
+    entry["cameras"] = change.cameras.split(",") if change.cameras else []
+    if change.zone:
+        entry["zone"] = change.zone
+    if change.kind == "moved":
+        entry["from"] = [round(change.from_x, 3), round(change.from_y, 3), round(change.from_z, 3)]
+    if has_picture:
+        entry["picture"] = f"change-{number}.jpg"
+    return entry
 
 
 def _volumes(part: CutFill) -> dict[str, float]:
+    """Volumes as in changes.json."""
     return {name: round(value, 4) for name, value in vars(part).items()}
 
 
@@ -182,30 +246,43 @@ def changes_preview(changes: Changes) -> Uint8s:
     """Height differences from above with circled, numbered changes, and images before and after, as the bytes of a JPEG file."""
     if not changes.compared or not changes.grid.rows:
         return jpeg(np.full((40, 480, 3), 24, np.uint8), _QUALITY)
+    # 1. height differences: white where nothing changed, towards red where raised, towards blue where lowered
     known = np.isfinite(changes.difference)
     full_height = max(0.01 * _FULL_COLOUR_PERCENT * changes.grid.cell * changes.grid.columns, 1e-9)
     share = np.clip(np.nan_to_num(changes.difference) / full_height, -1, 1)[..., None]
-    paper, raised, lowered = (np.array(rgb, np.float64) for rgb in ((225, 225, 225), (200, 40, 30), (30, 80, 200)))
+    paper = np.array([225.0, 225.0, 225.0])
+    raised = np.array([200.0, 40.0, 30.0])
+    lowered = np.array([30.0, 80.0, 200.0])
     colours = np.where(share > 0, paper + share * (raised - paper), paper - share * (lowered - paper))
     image = draw_plan(changes.grid, np.where(known[..., None], colours, 24).astype(np.uint8), {})
     _mark(image, changes)
-    crops = [_with_number(crop, number) for number, crop in list(changes.crops.items())[:_MOST_CROPS]]
-    width = max(image.shape[1], *(crop.shape[1] for crop in crops)) if crops else image.shape[1]
-    rows = [np.pad(panel, ((0, 6), (0, width - panel.shape[1]), (0, 0)), constant_values=24) for panel in (image, *crops)]
-    return jpeg(np.vstack(rows), _QUALITY)
+
+    # 2. images of the first changes below, padded to one width
+    panels = [image]
+    for number, crop in list(changes.crops.items())[:_MOST_CROPS]:
+        panels.append(_with_number(crop, number))
+    width = max(panel.shape[1] for panel in panels)
+    padded = []
+    for panel in panels:
+        padded.append(np.pad(panel, ((0, 6), (0, width - panel.shape[1]), (0, 0)), constant_values=24))
+    return jpeg(np.vstack(padded), _QUALITY)
 
 
 def _mark(image: Uint8s, changes: Changes) -> None:
-    grid, scale = changes.grid, image.shape[1] / changes.grid.columns
+    """Draw a circle and the number of each change into a plan of the grid."""
+    grid = changes.grid
+    scale = image.shape[1] / grid.columns
     for number, change in changes.changes.items():
         east, north, _ = grid.axes @ (change.x, change.y, change.z)
-        x, y = (east - grid.left) / grid.cell * scale, (grid.top - north) / grid.cell * scale
+        x = (east - grid.left) / grid.cell * scale
+        y = (grid.top - north) / grid.cell * scale
         radius = max(6.0, 0.6 * np.hypot(change.length, change.width) / grid.cell * scale)
         cv2.circle(image, (round(x), round(y)), round(radius), (20, 20, 20), 2, cv2.LINE_AA)
         cv2.putText(image, number, (round(x + radius), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
 
 
 def _with_number(crop: Uint8s, number: str) -> Uint8s:
+    """The picture with its number in white on a black outline, which shows on any background."""
     labelled = crop.copy()
     cv2.putText(labelled, number, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
     cv2.putText(labelled, number, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
