@@ -41,7 +41,8 @@ def tiles(cloud: Cloud, poses: Poses) -> Files:
     from .tiles import tile_files
 
     georeference = _georeference(poses)
-    for name, data in tile_files(cloud, georeference.to_earth() if georeference else None):
+    to_earth = georeference.to_earth() if georeference is not None else None
+    for name, data in tile_files(cloud, to_earth):
         yield f"tiles/{name}", data
 
 
@@ -59,7 +60,8 @@ def heights(cloud: Cloud, poses: Poses) -> Files:
     points = cloud.points.astype(np.float64)
     georeference = _georeference(poses)
     if georeference is not None:
-        raster, band_names = height_map(georeference.points(points)), ["height above the ellipsoid, metres"]
+        raster = height_map(georeference.points(points))
+        band_names = ["height above the ellipsoid, metres"]
         yield "heights.tif", geotiff(raster.heights[None], raster.left, raster.top, raster.cell, georeference.epsg, band_names)
         return
     files, metadata = plain_files(height_map(points))
@@ -71,12 +73,19 @@ def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
     """depth/<camera>.png and .pfm of every camera of the main component that has a depth map; depth/depth.json."""
     entries = {}
     for name, camera in poses.main_cameras().items():
-        if name in depths:
-            files, steps = depth_files(depths[name])
-            for suffix, data in files.items():
-                yield f"depth/{name}{suffix}", data
-            pinhole = {"K": camera.K.tolist(), "R": camera.R.tolist(), "C": camera.C.tolist()}
-            entries[name] = {"png_steps_per_unit": steps, "width": camera.width, "height": camera.height, **pinhole}
+        if name not in depths:
+            continue
+        files, steps = depth_files(depths[name])
+        for suffix, data in files.items():
+            yield f"depth/{name}{suffix}", data
+        entries[name] = {
+            "png_steps_per_unit": steps,
+            "width": camera.width,
+            "height": camera.height,
+            "K": camera.K.tolist(),
+            "R": camera.R.tolist(),
+            "C": camera.C.tolist(),
+        }
     if not entries:
         raise ValueError("no camera has a depth map")
     yield "depth/depth.json", _json({"unit": _unit(poses), "cameras": entries})
@@ -98,9 +107,10 @@ def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files
     from .orthophoto import orthophoto as seen_from_above
 
     georeference = _georeference(poses)
-    photo = seen_from_above(textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames), georeference)
+    textured_mesh = textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames)
+    photo = seen_from_above(textured_mesh, georeference)
     if georeference is not None:
-        bands = np.moveaxis(photo.image, 2, 0)
+        bands = np.moveaxis(photo.image, 2, 0)  # (3, h, w)
         yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, georeference.epsg)
     else:
         yield "orthophoto.png", png(photo.image)
@@ -118,6 +128,7 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
     from .colmap import colmap_files
 
     cameras = poses.main_cameras()
+    # pairs that the solution of the whole site contradicts would join wrong points to tracks
     accepted = {name: geometry for name, geometry in geometries.items() if name not in poses.dropped}
     for name, data in colmap_files(cameras, accepted, cloud).items():
         yield f"colmap/sparse/{name}", data
@@ -141,7 +152,8 @@ def gpkg(poses: Poses, changes: Changes | None, day: datetime.date) -> Files:
     """site.gpkg in UTM, with the layers "cameras" and, if anything has changed, "changes".  day: date of the night."""
     from .map_features import camera_features, change_features, geopackage_bytes
 
-    layers = {"cameras": camera_features(poses.main_cameras()), "changes": change_features(changes.changes if changes else {})}
+    found = changes.changes if changes is not None else {}
+    layers = {"cameras": camera_features(poses.main_cameras()), "changes": change_features(found)}
     yield "site.gpkg", geopackage_bytes(layers, _required_georeference(poses), day)
 
 
