@@ -24,18 +24,32 @@ def calibration_file(poses: Poses) -> bytes:
 
 def _entry(camera: Camera, metric: bool) -> dict[str, Any]:
     """One camera: K and size of its captures, and their distortion, whether it was known or solved."""
-    width, height = camera.captured_width or camera.width, camera.captured_height or camera.height
-    world = {} if metric else {"metric": False}
-    if (lens := camera.lens) is not None and lens.K is not None:
-        R = camera.R if lens.turn is None else lens.turn.T @ camera.R  # the camera's own axes
-        entry = {"K": lens.K.tolist(), "R": R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
-        return entry | {"model": lens.model, "distortion": lens.distortion.tolist()} | world
-    K = camera.K.tolist()
-    for row, scale in ((0, width / camera.width), (1, height / camera.height)):
-        # pixel centres are whole numbers, so the principal point moves by half a pixel
-        K[row] = [K[row][0] * scale, K[row][1] * scale, (K[row][2] + 0.5) * scale - 0.5]
-    entry = {"K": K, "R": camera.R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
-    distortion = camera.distortion.tolist()
-    if not any(distortion):
-        distortion = [*camera.radial, 0.0, 0.0, 0.0]
-    return entry | ({"distortion": distortion} if any(distortion) else {}) | world
+    width = camera.captured_width or camera.width
+    height = camera.captured_height or camera.height
+    R = camera.R
+    lens = camera.lens
+    if lens is not None and lens.K is not None:
+        # as it was stated: the frames were made from it
+        K = lens.K.tolist()
+        if lens.turn is not None:
+            R = lens.turn.T @ camera.R  # the camera's own axes
+    else:
+        K = camera.K.tolist()
+        for row, scale in ((0, width / camera.width), (1, height / camera.height)):
+            # pixel centres are whole numbers, so the principal point moves by half a pixel
+            K[row] = [K[row][0] * scale, K[row][1] * scale, (K[row][2] + 0.5) * scale - 0.5]
+    entry: dict[str, Any] = {"K": K, "R": R.tolist(), "C": camera.C.tolist(), "width": width, "height": height}
+
+    if lens is not None and lens.K is not None:
+        entry["model"] = lens.model
+        entry["distortion"] = lens.distortion.tolist()
+    else:
+        distortion = camera.distortion.tolist()
+        if not any(distortion):
+            distortion = [*camera.radial, 0.0, 0.0, 0.0]  # solved
+        if any(distortion):
+            entry["distortion"] = distortion
+
+    if not metric:
+        entry["metric"] = False
+    return entry

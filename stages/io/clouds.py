@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 Columns = Mapping[str, npt.NDArray[Any]]
+"""Columns (n,) of a table by name."""
 
 
 def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
@@ -22,23 +23,42 @@ def cloud_columns(cloud: Cloud) -> dict[str, npt.NDArray[Any]]:
 
     Positions are float32, or float64 where the coordinates are so large (UTM) that float32 would add to the points' own error.
     """
-    farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max()))) if len(cloud.points) else 0.0
-    needs_float64 = farthest > 0 and float(np.spacing(np.float32(farthest))) > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
+    points = cloud.points.astype("f8" if _needs_float64(cloud) else "f4")
     return {
-        **{name: cloud.points[:, i].astype("f8" if needs_float64 else "f4") for i, name in enumerate(("x", "y", "z"))},
-        **{name: cloud.normals[:, i] for i, name in enumerate(("nx", "ny", "nz"))},
-        **{name: cloud.colors[:, i] for i, name in enumerate(("red", "green", "blue"))},
+        "x": points[:, 0],
+        "y": points[:, 1],
+        "z": points[:, 2],
+        "nx": cloud.normals[:, 0],
+        "ny": cloud.normals[:, 1],
+        "nz": cloud.normals[:, 2],
+        "red": cloud.colors[:, 0],
+        "green": cloud.colors[:, 1],
+        "blue": cloud.colors[:, 2],
         "confidence": cloud.confidence,
         "views": cloud.views,
         "sigma_mm": cloud.sigma_mm,
     }
 
 
+def _needs_float64(cloud: Cloud) -> bool:
+    """Is a step of float32, at the farthest coordinate, more than a tenth of the points' median error?"""
+    if not len(cloud.points):
+        return False
+    farthest = max(abs(float(cloud.points.min())), abs(float(cloud.points.max())))
+    step = float(np.spacing(np.float32(farthest)))
+    return farthest > 0 and step > 0.1 * float(np.median(cloud.sigma_mm)) / 1000.0
+
+
 def cloud_of(columns: Columns) -> Cloud:
     """The cloud that was passed to `cloud_columns`, with positions as they were stored."""
-    groups = (("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue"))
-    points, normals, colors = (np.column_stack([columns[name] for name in names]) for names in groups)
-    return Cloud(points, normals, colors, columns["confidence"], columns["views"], columns["sigma_mm"])
+    return Cloud(
+        points=np.column_stack([columns["x"], columns["y"], columns["z"]]),
+        normals=np.column_stack([columns["nx"], columns["ny"], columns["nz"]]),
+        colors=np.column_stack([columns["red"], columns["green"], columns["blue"]]),
+        confidence=columns["confidence"],
+        views=columns["views"],
+        sigma_mm=columns["sigma_mm"],
+    )
 
 
 def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
@@ -59,4 +79,6 @@ def cloud_figures(cloud: Cloud) -> dict[str, Any]:
 def coordinate_step(points: Float64s) -> float:
     """Step of coordinates stored as integers: a power of ten, as fine as the resolution of float32 for points of this extent."""
     span = float(np.ptp(points, axis=0).max())
-    return float(10.0 ** np.floor(np.log10(span / 1e7))) if span > 0 else 1e-4
+    if span <= 0:
+        return 1e-4
+    return float(10.0 ** np.floor(np.log10(span / 1e7)))  # float32 holds seven digits

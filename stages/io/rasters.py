@@ -18,7 +18,8 @@ LARGEST_VALUE = 65535
 def png(image: Uint8s | Uint16s) -> bytes:
     """PNG of (h, w, 3) uint8 RGB, (h, w, 4) uint8 RGBA, or of (h, w) uint8 or uint16."""
     if image.ndim == 3:
-        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA), np.uint8)
+        conversion = cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        image = np.asarray(cv2.cvtColor(image, conversion), np.uint8)
     success, data = cv2.imencode(".png", image)
     if not success:
         raise ValueError(f"no PNG can be made of {image.shape} {image.dtype}")
@@ -66,7 +67,10 @@ def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg:
     layout = {"driver": "GTiff", "width": columns, "height": rows, "count": count, "dtype": bands.dtype.name}
     layout |= {"crs": CRS.from_epsg(epsg), "transform": Affine(cell, 0.0, left, 0.0, -cell, top)}
     picture = bands.dtype == np.uint8
-    options = {"photometric": "RGB", "predictor": 2, "tiled": True} if picture else {"nodata": float("nan"), "predictor": 3}
+    # predictor 2 is TIFF's for integers, 3 that for floating-point numbers
+    options: dict[str, Any] = {"nodata": float("nan"), "predictor": 3}
+    if picture:
+        options = {"photometric": "RGB", "predictor": 2, "tiled": True}
     with MemoryFile() as memory:
         with memory.open(**layout, **options, compress="deflate", num_threads=1) as file:
             if picture:
@@ -85,13 +89,19 @@ def stepped(values: npt.NDArray[Any], lowest: float) -> tuple[Uint16s, float]:
     times a power of ten: the largest with which all values fit.
     """
     known = np.isfinite(values)
-    span = float(values[known].max()) - lowest if known.any() else 0.0
-    steps = _preferred_below((LARGEST_VALUE - 2) / span) if span > 0 else 1.0
+    span = 0.0
+    if known.any():
+        span = float(values[known].max()) - lowest
+    steps = 1.0
+    if span > 0:
+        steps = _preferred_below((LARGEST_VALUE - 2) / span)  # 0 is unknown, and rounding may add one
     quantised = np.zeros(values.shape, np.uint16)
     quantised[known] = np.round((values[known].astype(np.float64) - lowest) * steps + 1)
     return quantised, steps
 
 
 def _preferred_below(value: float) -> float:
+    """The largest of 1, 2 or 5 times a power of ten that is not above `value`."""
     decade = 10.0 ** float(np.floor(np.log10(value)))
-    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step <= max(value / decade, 1.0)))
+    multiple = max(value / decade, 1.0)  # just below 1 by rounding, for a power of ten
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step <= multiple))
