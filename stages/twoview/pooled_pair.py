@@ -39,19 +39,28 @@ def matches_of_night(inliers: Matches, F: Float64s, left: Features, right: Featu
     F : (3, 3) the geometry.
     left, right : keypoints of the two cameras in that night.
     """
-    i1, i2 = _keypoint_at(left, inliers.x1), _keypoint_at(right, inliers.x2)
-    known = (i1 >= 0) & (i2 >= 0)
+    i1 = _keypoint_at(left, inliers.x1)
+    i2 = _keypoint_at(right, inliers.x2)
+    is_found = (i1 >= 0) & (i2 >= 0)
     pairs = view_pairs(left, right, inliers.tilted)
-    probability = inliers.probability[known].astype(np.float64)
-    seeds = keypoint_matches(left, right, i1[known], i2[known], probability, tilted=inliers.tilted, searched=pairs)
+    probability = inliers.probability[is_found].astype(np.float64)
+    seeds = keypoint_matches(left, right, i1[is_found], i2[is_found], probability, tilted=inliers.tilted, searched=pairs)
     return match_guided(seeds, left, right, F)
+
+
+def _keypoint_at(features: Features, x: Float64s) -> Int32s:
+    """(n,) row of the nearest keypoint to each position, -1 if none is within `NEAR_PX`."""
+    distance, row = nearest_points(features.xy, x, 1)
+    return np.where(distance.ravel() <= NEAR_PX, row.ravel(), -1).astype(np.int32)
 
 
 def with_night(pooled: Matches, night: Matches) -> Matches:
     """The pooled matches, and those of a night that are new."""
-    coordinates = np.hstack([night.x1, night.x2])
-    distance, _ = cKDTree(np.hstack([pooled.x1, pooled.x2])).query(coordinates) if len(coordinates) else (np.zeros(0), None)
-    is_new = distance > SAME_PX
+    is_new = np.zeros(len(night.x1), bool)
+    if len(night.x1):  # a tree rejects an empty query
+        tree = cKDTree(np.hstack([pooled.x1, pooled.x2]))
+        distance, _ = tree.query(np.hstack([night.x1, night.x2]))
+        is_new = distance > SAME_PX
     return replace(
         pooled,
         x1=np.vstack([pooled.x1, night.x1[is_new]]),
@@ -79,13 +88,9 @@ def pooled_evidence(
         return replace(own, distinct_cells=0, distinct_share=0.0, agreement=0.0)
     pairs = searched_view_pairs(night, left, right)
     evidence = pair_evidence(left, right, pairs, night.i1[keep], night.i2[keep], found, seed)
-    rival, ratio = evidence.rival, own.inliers / evidence.inliers
+    rival = evidence.rival
     if rival is not None:
+        # the score compares the rival's inliers with the pair's, of which the pool has more than a night
+        ratio = own.inliers / evidence.inliers
         rival = replace(rival, inliers=round(ratio * rival.inliers), elsewhere=round(ratio * rival.elsewhere))
     return replace(evidence, inliers=own.inliers, half_rotation_deg=own.half_rotation_deg, angle_deg=own.angle_deg, rival=rival)
-
-
-def _keypoint_at(features: Features, x: Float64s) -> Int32s:
-    """(n,) row of the nearest keypoint to each position, -1 if none is within `NEAR_PX`."""
-    distance, row = nearest_points(features.xy, x, 1)
-    return np.where(distance.ravel() <= NEAR_PX, row.ravel(), -1).astype(np.int32)

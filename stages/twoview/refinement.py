@@ -16,11 +16,14 @@ from ..core.rotations import skew
 from ..types import Float64s
 
 Intrinsics = tuple[Float64s, Float64s]
+"""K1 and K2, (3, 3) each."""
 
 CAUCHY = 1.5
 """Residual, in standard deviations, at which the weight of a match is halved."""
 LEAST_NOISE_PX = 0.02
+"""Smallest noise of a match with a keypoint of median size, pixels: exact matches would have infinite weight."""
 ITERATIONS = 12
+"""Most steps of a descent."""
 _GENERATORS = np.stack([skew(axis) for axis in np.eye(3)])
 """(3, 3, 3) generators of small rotations about each axis."""
 
@@ -34,6 +37,7 @@ def noise_px(F: Float64s, x1: Float64s, x2: Float64s, size: Float64s) -> Float64
     x1, x2 : (n, 2) pixels of the matches.
     size : (n,) size of the coarser keypoint of each match, in any unit.
     """
+    # 1.4826: from the median absolute value to the standard deviation of a normal distribution
     ratio = 1.4826 * float(np.median(np.abs(sampson_distance(F, x1, x2)) / size))
     return np.asarray(size * max(ratio, LEAST_NOISE_PX / float(np.median(size))), dtype=np.float64)
 
@@ -53,13 +57,15 @@ def refine_two_view(
     size : (n,) size of the coarser keypoint of each match, in any unit.
     intrinsics : K1, K2; if given, F = K2^-T E K1^-1 throughout.
     """
+    # normalised coordinates within -1 to 1, in which the entries of F are of similar size (Hartley 1997)
     half = max(float(np.abs(np.concatenate([x1, x2])).max()) / 2, 1.0)
     N = np.array([[1 / half, 0.0, -1.0], [0.0, 1 / half, -1.0], [0.0, 0.0, 1.0]])
     N_inverse = np.linalg.inv(N)
     lenses = None if intrinsics is None else (N @ intrinsics[0], N @ intrinsics[1])
     for _ in range(2):
         scale = half / noise_px(F, x1, x2, size)
-        normalised_F = _descend(unit_norm(N_inverse.T @ F @ N_inverse), x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
+        initial = unit_norm(N_inverse.T @ F @ N_inverse)
+        normalised_F = _descend(initial, x1 / half - 1, x2 / half - 1, scale / CAUCHY, lenses)
         F = unit_norm(N.T @ normalised_F @ N)
     return F, noise_px(F, x1, x2, size)
 
@@ -123,20 +129,36 @@ def normal_equations(
     directions : (9, k) in which F may change.
     """
     k = directions.shape[1]
-    cost, normal, gradient = 0.0, np.zeros((k, k)), np.zeros(k)
-    by_F, change = np.empty(9), np.empty(k)
+    cost = 0.0
+    normal = np.zeros((k, k))
+    gradient = np.zeros(k)
+    by_F = np.empty(9)
+    change = np.empty(k)
     for n in range(len(x1)):
-        u1, v1 = x1[n, 0], x1[n, 1]
-        u2, v2 = x2[n, 0], x2[n, 1]
-        ax, ay = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0], u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
-        bx, by = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2], F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
+        u1 = x1[n, 0]
+        v1 = x1[n, 1]
+        u2 = x2[n, 0]
+        v2 = x2[n, 1]
+        # normals of the epipolar lines: a in image 1 (F^T x2), b in image 2 (F x1)
+        ax = u2 * F[0, 0] + v2 * F[1, 0] + F[2, 0]
+        ay = u2 * F[0, 1] + v2 * F[1, 1] + F[2, 1]
+        bx = F[0, 0] * u1 + F[0, 1] * v1 + F[0, 2]
+        by = F[1, 0] * u1 + F[1, 1] * v1 + F[1, 2]
+        # Sampson distance: x2^T F x1 over the length of its gradient
         inverse = 1 / np.sqrt(ax * ax + ay * ay + bx * bx + by * by + 1e-30)
         algebraic = u1 * ax + v1 * ay + u2 * F[0, 2] + v2 * F[1, 2] + F[2, 2]
         r = algebraic * inverse * scale[n]
         q = algebraic * inverse * inverse  # accounts for the changing length of the gradient
-        by_F[0], by_F[1], by_F[2] = u2 * u1 - q * (bx * u1 + u2 * ax), u2 * v1 - q * (bx * v1 + u2 * ay), u2 - q * bx
-        by_F[3], by_F[4], by_F[5] = v2 * u1 - q * (by * u1 + v2 * ax), v2 * v1 - q * (by * v1 + v2 * ay), v2 - q * by
-        by_F[6], by_F[7], by_F[8] = u1 - q * ax, v1 - q * ay, 1.0
+        # derivative of the distance by each entry of F, row by row
+        by_F[0] = u2 * u1 - q * (bx * u1 + u2 * ax)
+        by_F[1] = u2 * v1 - q * (bx * v1 + u2 * ay)
+        by_F[2] = u2 - q * bx
+        by_F[3] = v2 * u1 - q * (by * u1 + v2 * ax)
+        by_F[4] = v2 * v1 - q * (by * v1 + v2 * ay)
+        by_F[5] = v2 - q * by
+        by_F[6] = u1 - q * ax
+        by_F[7] = v1 - q * ay
+        by_F[8] = 1.0
         for i in range(k):
             total = 0.0
             for j in range(9):

@@ -19,8 +19,11 @@ from ..core.rotations import nearest_rotation
 from ..types import Bools, Camera, Float64s, View
 
 CONFIDENCE = 0.9999
-MIN_ITERATIONS, MAX_ITERATIONS = 50, 20000
-"""Limits of the number of random samples; within them the share of inliers determines it."""
+"""Probability of the random samples to include one without outliers; more samples are drawn for a higher one."""
+MIN_ITERATIONS = 50
+"""Fewest random samples; above it the share of inliers determines their number."""
+MAX_ITERATIONS = 20000
+"""Most random samples."""
 INLIER_FACTOR = 1.5
 """Inlier threshold of the refined model, as a multiple of the given threshold, in Sampson distance."""
 MOST_POSED = 500
@@ -58,13 +61,15 @@ def estimate_fundamental(x1: Float64s, x2: Float64s, threshold_px: float, seed: 
     if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return None
     F = unit_norm(np.asarray(matrix, dtype=np.float64))
-    for _ in range(2):
+    for _ in range(2):  # the second time with the inliers of the first
         inliers = supporters(F, x1, x2, threshold_px)
         if inliers.sum() < 8:
             return None
         F = _refined(F, x1[inliers], x2[inliers], threshold_px)
     inliers = supporters(F, x1, x2, threshold_px)
-    return TwoView(F, inliers) if inliers.sum() >= 8 else None
+    if inliers.sum() < 8:
+        return None
+    return TwoView(F, inliers)
 
 
 def _refined(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> Float64s:
@@ -93,15 +98,23 @@ def estimate_essential(
     t = np.asarray(pose.t, dtype=np.float64)
     if not np.isfinite(t).all() or np.linalg.norm(t) < 1e-12:
         return None
-    R, t = np.asarray(pose.R, dtype=np.float64), t / np.linalg.norm(t)
+    R = np.asarray(pose.R, dtype=np.float64)
+    t = t / np.linalg.norm(t)
     F = essential_to_fundamental(R, t, view1.K, view2.K)
     inliers = supporters(F, x1, x2, threshold_px)
-    return TwoView(F, inliers, R, t) if inliers.sum() >= 8 else None
+    if inliers.sum() < 8:
+        return None
+    return TwoView(F, inliers, R, t)
 
 
 def _lo_ransac(threshold_px: float, seed: int, limit: int) -> dict[str, Any]:
-    iterations = {"max_iterations": limit, "min_iterations": min(MIN_ITERATIONS, limit)}
-    return {"max_epipolar_error": INLIER_FACTOR * threshold_px, "seed": seed, **iterations}
+    """Settings of poselib's LO-RANSAC; limit: most random samples."""
+    return {
+        "max_epipolar_error": INLIER_FACTOR * threshold_px,
+        "seed": seed,
+        "max_iterations": limit,
+        "min_iterations": min(MIN_ITERATIONS, limit),
+    }
 
 
 def estimate_with_one_lens(
@@ -119,21 +132,31 @@ def estimate_with_one_lens(
     """
     if len(x1) < 8:
         return None
-    unit1, unit2 = (float(max(view.width, view.height)) for view in (view1, view2))
-    T1, T2 = (
-        np.array([[side / unit1, 0, (view.width - 1) / 2], [0, side / unit1, (view.height - 1) / 2], [0, 0, 1]])
-        for view, side in ((view1, unit1), (view2, unit2))
-    )
-    centred1, centred2 = ((x - T[:2, 2]) / T[0, 0] for x, T in ((x1, T1), (x2, T2)))
+    # poselib's solver wants centred coordinates and one focal length: pixels of image 1, to which image 2 is scaled
+    unit1 = float(max(view1.width, view1.height))
+    T1 = _from_centred(view1, unit1)
+    T2 = _from_centred(view2, unit1)
+    centred1 = (x1 - T1[:2, 2]) / T1[0, 0]
+    centred2 = (x2 - T2[:2, 2]) / T2[0, 0]
     options = _lo_ransac(threshold_px, seed, MAX_ITERATIONS)
     estimate, _ = poselib.estimate_shared_focal_relative_pose(centred1, centred2, np.zeros(2), options, {})
-    f, R, t = float(estimate.camera1.focal()), np.asarray(estimate.pose.R), np.asarray(estimate.pose.t)
+    f = float(estimate.camera1.focal())
+    R = np.asarray(estimate.pose.R)
+    t = np.asarray(estimate.pose.t)
     if not np.isfinite([f, *t]).all() or f <= 0 or np.linalg.norm(t) < 1e-12:
         return None
     K = np.diag([f, f, 1.0])
     F = unit_norm(np.linalg.inv(T2).T @ essential_to_fundamental(R, t, K, K) @ np.linalg.inv(T1))
     inliers = supporters(F, x1, x2, threshold_px)
-    return TwoView(F, inliers) if inliers.sum() >= 8 else None
+    if inliers.sum() < 8:
+        return None
+    return TwoView(F, inliers)
+
+
+def _from_centred(view: View, unit: float) -> Float64s:
+    """(3, 3) transform to the pixels of a view, from coordinates relative to its centre in which its long side is `unit`."""
+    scale = float(max(view.width, view.height)) / unit
+    return np.array([[scale, 0, (view.width - 1) / 2], [0, scale, (view.height - 1) / 2], [0, 0, 1]])
 
 
 def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, view2: View) -> tuple[Float64s, Float64s] | None:
@@ -147,11 +170,13 @@ def pose_of_fundamental(F: Float64s, x1: Float64s, x2: Float64s, view1: View, vi
     """
     if view1.K is None or view2.K is None:
         return None
-    sample = slice(None, None, max(-(-len(x1) // MOST_POSED), 1))
+    sample = slice(None, None, max(-(-len(x1) // MOST_POSED), 1))  # at most `MOST_POSED`, evenly spread over the rows
     n1 = (homogeneous(x1[sample]) @ np.linalg.inv(view1.K).T)[:, :2]
     n2 = (homogeneous(x2[sample]) @ np.linalg.inv(view2.K).T)[:, :2]
     in_front, R, t, _ = cv2.recoverPose(view2.K.T @ F @ view1.K, n1, n2, np.eye(3))
-    return (np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()) if in_front >= 8 else None
+    if in_front < 8:
+        return None
+    return np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).ravel()
 
 
 def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Float64s, threshold_px: float) -> float:
@@ -170,6 +195,7 @@ def rotation_support(x1: Float64s, x2: Float64s, view1: View, view2: View, R: Fl
     ray2 = _unit_rows(homogeneous(x2) @ np.linalg.inv(view2.K).T)
     tolerance = threshold_px / view2.K[0, 0]
     share = 0.0
+    # weighted least squares over rotations: errors beyond the median, or beyond the tolerance if that is larger, count less
     for _ in range(10):
         error = np.linalg.norm(ray2 - ray1 @ R.T, axis=1)
         share = float((error < tolerance).mean())
@@ -194,11 +220,14 @@ def homography_support(x1: Float64s, x2: Float64s, threshold_px: float, seed: in
         matrix, _ = cv2.findHomography(x1, x2, _usac(threshold_px, seed, 2000))
     except cv2.error:
         return no_inliers
-    H = np.zeros((0, 0)) if matrix is None else np.array(matrix, dtype=np.float64)
-    if H.shape != (3, 3) or abs(np.linalg.det(H)) < 1e-15:
+    if matrix is None or matrix.shape != (3, 3):
         return no_inliers
-    residual = np.maximum(_transfer_errors(H, x1, x2), _transfer_errors(np.linalg.inv(H).astype(np.float64), x2, x1))
-    return np.asarray(residual < INLIER_FACTOR * threshold_px)
+    H = np.array(matrix, dtype=np.float64)
+    if abs(np.linalg.det(H)) < 1e-15:
+        return no_inliers
+    forward = _transfer_errors(H, x1, x2)
+    backward = _transfer_errors(np.linalg.inv(H).astype(np.float64), x2, x1)
+    return np.asarray(np.maximum(forward, backward) < INLIER_FACTOR * threshold_px)
 
 
 def _usac(threshold_px: float, seed: int, iterations: int) -> Any:
@@ -239,9 +268,12 @@ def supporters(F: Float64s, x1: Float64s, x2: Float64s, threshold_px: float) -> 
 
 
 def _transfer_errors(H: Float64s, x1: Float64s, x2: Float64s) -> Float64s:
+    """(n,) distance in pixels of x2 from the transformed x1; inf where the homography maps x1 to infinity."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.nan_to_num(np.linalg.norm(apply_homography(H, x1) - x2, axis=1), nan=np.inf), dtype=np.float64)
+        distance = np.linalg.norm(apply_homography(H, x1) - x2, axis=1)
+    return np.asarray(np.nan_to_num(distance, nan=np.inf), dtype=np.float64)
 
 
 def _unit_rows(v: Float64s) -> Float64s:
+    """The rows of v (n, d), each scaled to unit length."""
     return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True), dtype=np.float64)
