@@ -57,9 +57,16 @@ def static_carpark(rng: Rng, texel_m: float) -> Scene:
     models = [car(build, cars, colour) for colour in range(3)]
     for (y, nose), k in itertools.product(ROWS, range(BAYS)):
         # most cars have one colour, as in a fleet's or a dealer's yard; one bay in six is free
-        chance, aside, turn = rng.uniform(), rng.normal(0, 0.06), rng.normal(0, 0.012)
+        chance = rng.uniform()
+        aside = rng.normal(0, 0.06)
+        turn = rng.normal(0, 0.012)
         if chance < 5 / 6:
-            model = models[0 if chance < 0.55 else 1 if chance < 0.72 else 2]
+            if chance < 0.55:
+                model = models[0]
+            elif chance < 0.72:
+                model = models[1]
+            else:
+                model = models[2]
             x = BAY_M * (k + 0.5 - BAYS / 2)
             build.stamp(model, (x + float(aside), y + float(2 * aside), 0.0), yaw=nose * np.pi / 2 + float(turn))
     _shop(build, rng, texel_m)
@@ -71,7 +78,8 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> N
     """Add asphalt with painted bays and arrows, kerbed islands, and grass around."""
     lines: list[Way] = []
     for (y, _), k in itertools.product(ROWS, range(BAYS + 1)):
-        x, top = WIDE / 2 + BAY_M * (k - BAYS / 2), DEEP / 2 - y
+        x = WIDE / 2 + BAY_M * (k - BAYS / 2)
+        top = DEEP / 2 - y
         lines.append(((x, top - 2.5), (x, top + 2.5)))
     for y, x in itertools.product((-9.3, 7.3), (8.0, 20.0, 32.0, 44.0)):
         tip = (x + 2.0, DEEP / 2 - y)
@@ -90,10 +98,12 @@ def _ground(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) -> N
 
 def _shop(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     """Add a long low supermarket behind the northern row."""
-    top, width = 5.4, 42.0
+    top = 5.4
+    width = 42.0
     wall = build.add_texture(paint.painted_steel(rng, width, top, texel_m, (0.52, 0.52, 0.50)))
     sill = build.add_texture(paint.plaster(rng, 3.0, 1.0, texel_m, (0.30, 0.30, 0.31)))
-    glass, doors = (build.add_texture(paint.window(w, 2.6, texel_m)) for w in (3.0, 4.0))
+    glass = build.add_texture(paint.window(3.0, 2.6, texel_m))
+    doors = build.add_texture(paint.window(4.0, 2.6, texel_m))
     openings = [Opening(2.0 + 4.2 * k, top - 2.8, 3.0, 2.6, glass) for k in (0, 1, 2, 6, 7, 8)]
     openings.append(Opening(18.5, top - 2.9, 4.0, 2.9, doors, depth=0.4))
     facade(build, (-width / 2, 21.0, top), (1, 0, 0), (width, top), wall, openings, sill)

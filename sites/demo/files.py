@@ -48,10 +48,16 @@ class DemoFiles:
 def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int = 0, **options: Any) -> DemoFiles:
     """Render a scene with the arguments of `scenes.render`; the same arguments give the same bytes."""
     site = render(scene, small=small, light=light, seed=seed, **options)
-    kinds = {key: kind for key in ("lenses", "surfaces") if (kind := options.get(key, "standard")) != "standard"}
-    which = ({} if scene == "yard" else {"scene": scene}) | kinds
-    manifest = {**which, "light": light, "small": small, "captures": len(site.cameras[0].captures), "seed": seed}
-    return DemoFiles(manifest, _files(site, scene, light, kinds.get("lenses", "standard")))
+    # the manifest names only what differs from the standard yard
+    manifest: dict[str, Any] = {}
+    if scene != "yard":
+        manifest["scene"] = scene
+    for key in ("lenses", "surfaces"):
+        kind = options.get(key, "standard")
+        if kind != "standard":
+            manifest[key] = kind
+    manifest.update(light=light, small=small, captures=len(site.cameras[0].captures), seed=seed)
+    return DemoFiles(manifest, _files(site, scene, light, options.get("lenses", "standard")))
 
 
 def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File]:
@@ -60,14 +66,19 @@ def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File
         for k, image in enumerate(camera.captures):
             yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
         yield f"masks/{camera.name}.png", png(camera.mask)
-        truth = {"range" if camera.lens.model == "fisheye" else "depth": camera.depth}
-        yield f"truth/depth/{camera.name}.npz", npz_bytes(**truth)
+        # along the rays of a fisheye, not along its axis: a view may reach behind the camera
+        array_name = "range" if camera.lens.model == "fisheye" else "depth"
+        yield f"truth/depth/{camera.name}.npz", npz_bytes(**{array_name: camera.depth})
     yield from _cameras_and_reference(site.cameras, site, {"light": light})
-    also = _text("lenses", lenses=VARIANTS[lenses]) if lenses != "standard" else ""
-    words = {"about": SCENES[scene].about, "scene": "yard" if scene == "yard" else "scene", "also": also}
+    about_lenses = ""
+    if lenses != "standard":
+        about_lenses = _text("lenses", lenses=VARIANTS[lenses])
+    words = {"about": SCENES[scene].about, "scene": "yard" if scene == "yard" else "scene", "also": about_lenses}
     yield "README.txt", _text("readme", **words).encode()
-    file = _site_file(scene, site.cameras, f"{site.cameras[0].times[0]:%Y-%m-%d}_1.jpg")
-    yield "site.yaml", (file + (_text("whole_field") if lenses == "brown" else "")).encode()
+    site_file = _site_file(scene, site.cameras, f"{site.cameras[0].times[0]:%Y-%m-%d}_1.jpg")
+    if lenses == "brown":
+        site_file += _text("whole_field")
+    yield "site.yaml", site_file.encode()
 
 
 def _cameras_and_reference(cameras: Sequence[DemoCamera], site: DemoSite | NightsSite, taken: dict[str, Any]) -> Iterator[File]:
@@ -83,21 +94,21 @@ def _cameras_and_reference(cameras: Sequence[DemoCamera], site: DemoSite | Night
 def calibration_of(camera: DemoCamera) -> dict[str, Any]:
     """Return a camera's entry in cameras.json."""
     assert camera.lens.K is not None
-    return {
-        "width": camera.lens.width,
-        "height": camera.lens.height,
-        "K": camera.lens.K.tolist(),
-        **({} if camera.lens.model == "brown" else {"model": camera.lens.model}),
-        "distortion": camera.lens.distortion.tolist(),
-        "R": camera.camera.R.tolist(),
-        "C": camera.camera.C.tolist(),
-    }
+    lens = camera.lens
+    entry: dict[str, Any] = {"width": lens.width, "height": lens.height, "K": camera.lens.K.tolist()}
+    if lens.model != "brown":
+        entry["model"] = lens.model
+    entry["distortion"] = lens.distortion.tolist()
+    entry["R"] = camera.camera.R.tolist()
+    entry["C"] = camera.camera.C.tolist()
+    return entry
 
 
 def reference_points(cloud: Cloud, voxel_m: float) -> Points:
     """Return the content of truth/reference.ply."""
     names = ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "views")
-    columns = dict(zip(names, (*cloud.points.T, *cloud.normals.T, *cloud.colors.T, cloud.views), strict=True))
+    arrays = (*cloud.points.T, *cloud.normals.T, *cloud.colors.T, cloud.views)
+    columns = dict(zip(names, arrays, strict=True))
     return Points(columns, (f"surfaces that at least two cameras see, one point per {voxel_m:g} m",))
 
 
@@ -122,10 +133,15 @@ def _site_file(scene: str, cameras: Sequence[DemoCamera], example: str) -> str:
 
 def _text(name: str, **words: Any) -> str:
     """Return a text of `texts/` with its placeholders filled in."""
-    return (resources.files(__package__) / "texts" / f"{name}.txt").read_text(encoding="utf-8").format(**words)
+    file = resources.files(__package__) / "texts" / f"{name}.txt"
+    return file.read_text(encoding="utf-8").format(**words)
 
 
-NIGHT_SMALL, NIGHT_LARGE = (320, 180), (640, 360)
+NIGHT_SMALL = (320, 180)
+"""Width and height of the small captures of demo nights, pixels."""
+
+NIGHT_LARGE = (640, 360)
+"""Width and height of the usual ones."""
 
 
 def demo_nights(nights: int, *, frames: int = 3, small: bool = False, cameras: int | None = None, seed: int = 0) -> DemoFiles:
@@ -160,6 +176,7 @@ def _night_files(site: NightsSite, nights: int) -> Iterator[File]:
 
 
 def _depth_folder(epoch: int) -> str:
+    """Return the folder of the true depths that are valid from a night on."""
     return "truth/depth" if epoch == 1 else f"truth/depth-from-{epoch}"
 
 
@@ -190,7 +207,8 @@ STATES = {
 
 def _camera(each: CameraNights, number: int) -> dict[str, Any]:
     """Return the ground truth of a camera on a night."""
-    event, K = event_of(number, each.camera.name), each.camera.camera.K
+    event = event_of(number, each.camera.name)
+    K = each.camera.camera.K
     turn = turned_axes(event, float(K[0, 0]))
     # the nominal optical axis in the camera's present axes
     x, y, z = turn[:, 2].tolist()
@@ -210,25 +228,40 @@ def _camera(each: CameraNights, number: int) -> dict[str, Any]:
 
 def _changes(number: int, extents: dict[str, Extent]) -> Iterator[dict[str, Any]]:
     """Yield the differences between the yard on a night and on the first night, without traffic."""
-    before, now = stays(1), stays(number)
+    before = stays(1)
+    now = stays(number)
     for name, extent in extents.items():
-        old, new = before.get(name), now.get(name)
+        old = before.get(name)
+        new = now.get(name)
         if old == new:
             continue
-        kind = "appeared" if old is None else "vanished" if new is None else "moved"
-        since = new.first if new else 1 + max(night for night in range(1, number) if name in stays(night))
-        yield {
+        if old is None:
+            kind = "appeared"
+        elif new is None:
+            kind = "vanished"
+        else:
+            kind = "moved"
+        if new:
+            since = new.first
+        else:
+            last_seen = max(night for night in range(1, number) if name in stays(night))
+            since = last_seen + 1
+        change: dict[str, Any] = {
             "name": name,
             "kind": kind,
             "since": since,
             "size": [round(value, 3) for value in extent.size],
             "volume_m3": round(extent.volume_m3, 3),
-            **({"from": _place(old, extent)} if old else {}),
-            **({"to": _place(new, extent)} if new else {}),
         }
+        if old:
+            change["from"] = _place(old, extent)
+        if new:
+            change["to"] = _place(new, extent)
+        yield change
 
 
 def _place(stay: Stay, extent: Extent) -> dict[str, Any]:
+    """Return where a thing is, by its middle, and for which nights."""
     return {
         "position": [*stay.at, round(extent.size[2] / 2, 3)],
         "yaw_deg": round(float(np.degrees(stay.yaw)), 3),

@@ -40,6 +40,13 @@ from .script import CONDITIONS, CameraEvent, Conditions, Stay, event_of, frame_t
 from .yard import static_yard
 
 RASTER_M = 0.01
+"""Side of the cells in which a thing's volume is measured, metres."""
+
+PEOPLE = 6
+"""Number of people that move in each frame."""
+
+VEHICLES = 2
+"""Number of vehicles that move in each frame."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,8 @@ class Things:
         container(self._parts["container"], rng, texel_m, Box(0.0, 0.0, 0, 0.0, 6.06, (0.44, 0.20, 0.04), "WESER"))
         blue = add(paint.painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[2]))
         board = add(paint.sign_board(rng, 3.0, 1.5, texel_m, ("ELEKTRO", "KRUSE"), (0.50, 0.48, 0.42), (0.3, 0.05, 0.04)))
-        dark, glass = (add(paint.cloth(rng, texel_m, tone)) for tone in ((0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
+        dark = add(paint.cloth(rng, texel_m, (0.035, 0.035, 0.04)))
+        glass = add(paint.cloth(rng, texel_m, (0.05, 0.07, 0.08)))
         van(self._parts["vehicle"], (0.0, 0.0, 0.0), 0.0, (blue, board, dark, glass))
         for level, tone in enumerate(((0.36, 0.25, 0.14), (0.42, 0.33, 0.2), (0.30, 0.22, 0.15))):
             wood = add(paint.planks(rng, 5.0, 1.5, texel_m, tone))
@@ -83,18 +91,18 @@ class Things:
     def extent(self, name: str) -> Extent:
         """Return the size of a thing, and its volume from vertical rays, one per cell of a grid of `RASTER_M` metres."""
         corners = self._parts[name].build().vertices
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        x, y = np.meshgrid(*(np.arange(low[k] + RASTER_M / 2, high[k], RASTER_M) for k in range(2)))
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
+        columns = np.arange(low[0] + RASTER_M / 2, high[0], RASTER_M)
+        rows = np.arange(low[1] + RASTER_M / 2, high[1], RASTER_M)
+        x, y = np.meshgrid(columns, rows)
         origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2] + 1)])
         down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-        distance = ray_scene(corners).cast_rays(tensor(np.hstack([origins, down]).astype(np.float32)))["t_hit"].numpy()
+        rays = tensor(np.hstack([origins, down]).astype(np.float32))
+        distance = ray_scene(corners).cast_rays(rays)["t_hit"].numpy()
         height = np.where(np.isfinite(distance), high[2] + 1 - distance, 0).astype(np.float64)
-        length, width, top = (float(v) for v in (high[0] - low[0], high[1] - low[1], high[2]))
-        return Extent((length, width, top), float(height.sum() * RASTER_M**2))
-
-
-PEOPLE, VEHICLES = 6, 2
-"""Number of people and vehicles that move in each frame."""
+        size = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2]))
+        return Extent(size, float(height.sum() * RASTER_M**2))
 
 
 @dataclass(frozen=True)
@@ -147,10 +155,14 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     scenes = list(_scenes(things, nights, shots))
     with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda mount: _camera_nights(scenes, shots, mount), choose_mounts(shots.cameras)))
+    extents: dict[str, Extent] = {}
+    for night in range(1, nights + 1):
+        for name in stays(night):
+            if name not in extents:
+                extents[name] = things.extent(name)
     voxel_m = shots.voxel_m(51.2)
-    names = dict.fromkeys(name for night in range(1, nights + 1) for name in stays(night))
-    extents = {name: things.extent(name) for name in names}
-    return NightsSite(tuple(done), reference_cloud([each.view for each in done], voxel_m), voxel_m, extents)
+    reference = reference_cloud([each.view for each in done], voxel_m)
+    return NightsSite(tuple(done), reference, voxel_m, extents)
 
 
 def traffic_scenes(nights: int, shots: Shots) -> list[Scene]:
@@ -159,6 +171,7 @@ def traffic_scenes(nights: int, shots: Shots) -> list[Scene]:
 
 
 def _texel_m(shots: Shots) -> float:
+    """Return the side of a texel, metres: that of a pixel some ten metres away."""
     return shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
 
 
@@ -172,7 +185,8 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     epoch = 1
     for night in range(1, nights + 1):
         if stays(night) != places:
-            places, epoch = stays(night), night
+            places = stays(night)
+            epoch = night
         conditions = CONDITIONS[weather_of(night)]
         empty = PreparedScene(joined(yard, things.scene(places)), conditions.light, atlas, sky)
         tonight = traffic[(night - 1) * shots.captures : night * shots.captures]
@@ -189,24 +203,29 @@ def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewp
     done: list[tuple[tuple[datetime, bytes], ...]] = []
     seen: dict[int, Hits] = {}
     for night in nights:
+        # 1. Truth and hits of the camera's rays, once for each state of the yard; only the last state's hits are kept.
         if night.epoch not in depths:
             depths[night.epoch], _ = true_depth(night.still, camera)
         if night.epoch not in seen:
             seen = {night.epoch: trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))}
+
+        # 2. The captures of the night; a frozen camera delivers its last picture of the night before, again and again.
         event = event_of(night.number, name)
         turn = turned_axes(event, float(camera.K[0, 0]))
         times = [frame_time(night.number, k, sum(name.encode()) % 11) for k in range(shots.captures)]
         if event.what == "frozen" and done:
             files = [done[-1][-1][1]] * len(times)
         else:
-            images = _images(night, shots, event, replace(camera, R=turn @ camera.R), lens, seen[night.epoch])
+            turned_camera = replace(camera, R=turn @ camera.R)
+            images = _images(night, shots, event, turned_camera, lens, seen[night.epoch])
             pictures = tuple(burn_clock(image, name, time) for image, time in zip(images, times, strict=True))
             first = first or pictures
             files = [jpeg(picture) for picture in pictures]
         done.append(tuple(zip(times, files, strict=True)))
     taken = tuple(time for time, _ in done[0])
     demo = DemoCamera(name, first, taken, clock_mask(shots.size), depth, camera, lens)
-    return CameraNights(demo, TrueView(camera, depth, normals, undistorted_colours(demo)), tuple(done), depths)
+    view = TrueView(camera, depth, normals, undistorted_colours(demo))
+    return CameraNights(demo, view, tuple(done), depths)
 
 
 def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera, lens: Lens, seen: Hits) -> Iterable[Uint8s]:
@@ -220,7 +239,7 @@ def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera
     if event.what != "none":
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
     sensor = sensor_of(np.random.default_rng(_seed(shots, event.camera)), night.conditions.sensor)
-    if night.conditions.rain:
+    if night.conditions.rain:  # under dark clouds, a camera raises its gain
         sensor = replace(sensor, gain=1.4 * sensor.gain, full_well=sensor.full_well / 4)
     still = shade_pixels(night.still, seen).reshape(camera.height, camera.width, 3)
     return captures(still, night.frames, rngs, camera, lens, sensor, night.conditions.rain)
@@ -234,4 +253,5 @@ def _tarpaulin(folds: Float64s, size: tuple[int, int], rng: Rng) -> Uint8s:
 
 
 def _seed(shots: Shots, camera: str) -> list[int]:
+    """Return the seed of a camera's sensor and noise, the same as in `photograph`."""
     return [shots.seed, 3, sum(camera.encode())]

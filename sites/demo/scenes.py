@@ -64,9 +64,15 @@ def render(
     row = SCENES[name]
     check_surfaces(surfaces, name)
     if small:
-        cameras, size, captures = cameras or row.small_cameras, size or (320, 180), 3 if captures is None else captures
+        cameras = cameras or row.small_cameras
+        size = size or (320, 180)
+        captures = 3 if captures is None else captures
+    # what is not stated is as the scene has it
+    if cameras is None:
+        cameras = row.cameras
+    if captures is None:
+        captures = row.captures
     module, _, function = row.function.partition(":")
     scene = getattr(import_module(module), function)
-    counts = (row.cameras if cameras is None else cameras, row.captures if captures is None else captures)
-    shots = Shots(*counts, size or row.size, seed, cast(Daytime, light), lenses=lenses, surfaces=surfaces)
+    shots = Shots(cameras, captures, size or row.size, seed, cast(Daytime, light), lenses=lenses, surfaces=surfaces)
     return cast(DemoSite, scene(shots))

@@ -18,7 +18,12 @@ from .render.paint import Rng
 from .render.photograph import DemoSite, Night, Shots, photograph
 from .render.scene import GLOWING, STATIC, UP, WATER, Scene, SceneBuilder, axes_of
 
-WALL_TOP, SHED_TOP = 9.2, 8.0
+WALL_TOP = 9.2
+"""Height of the northern and eastern walls, metres."""
+
+SHED_TOP = 8.0
+"""Height of the western shed, metres."""
+
 LAMPS = (
     (5.0, 28.2, 6.3), (15.0, 28.2, 6.3), (25.0, 28.2, 6.3), (35.0, 28.2, 6.3),
     (38.2, 20.5, 6.3), (1.8, 22.0, 6.0), (13.0, 8.1, 6.8), (28.5, 7.6, 6.8),
@@ -106,7 +111,8 @@ def _facades(build: SceneBuilder, rng: Rng, texel_m: float, pane: int, sill: int
     doors = [build.add_texture(paint.roller_door(rng, 3.4, 3.4, texel_m, c, str(k + 1))) for k, c in enumerate(colours)]
     gate = build.add_texture(paint.planks(rng, 3.4, 3.4, texel_m))
     if surfaces == "weak":
-        north, east = (weak.white_plaster(rng, width, WALL_TOP, texel_m) for width in (40.0, 18.0))
+        north = weak.white_plaster(rng, 40.0, WALL_TOP, texel_m)
+        east = weak.white_plaster(rng, 18.0, WALL_TOP, texel_m)
         west = weak.white_plaster(rng, 17.0, SHED_TOP, texel_m)
     else:
         north = paint.brick_wall(rng, 40.0, WALL_TOP, texel_m, sign="WERFT & LAGERHAUS HANSEN")
@@ -125,12 +131,18 @@ def _bays(size: tuple[float, float], pane: int, doors: list[int]) -> list[Openin
     """Return rows of the same window every 2.5 m; doors, evenly spaced, replace ground-floor windows."""
     width, height = size
     columns = [0.65 + 2.5 * k for k in range(int((width - 0.65) / 2.5))]
+    # 1. The doors.
     at = [width * (k + 0.5) / len(doors) - 1.7 for k in range(len(doors))]
     openings = [Opening(x, height - 3.4, 3.4, 3.4, door, depth=0.3) for x, door in zip(at, doors, strict=True)]
+    # 2. Rows of windows from the ground floor up, as long as there is wall above them.
     for row in range(int(height / 2.7)):
         top = height - 3.1 - 2.7 * row
-        free = [x for x in columns if row > 0 or all(x + 1.4 < a or x > a + 3.6 for a in at)]
-        openings += [Opening(x, top, 1.2, 1.8, pane) for x in free if top > 0.2]
+        if top <= 0.2:
+            continue
+        for x in columns:
+            beside_doors = all(x + 1.4 < a or x > a + 3.6 for a in at)
+            if row > 0 or beside_doors:
+                openings.append(Opening(x, top, 1.2, 1.8, pane))
     return openings
 
 

@@ -20,6 +20,8 @@ Way = tuple[tuple[float, float], tuple[float, float]]
 
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
 
+HELMETS = ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))
+
 SKIN: Colour = (0.45, 0.27, 0.19)
 PAINTS = ((0.62, 0.62, 0.60), (0.60, 0.40, 0.03), (0.08, 0.18, 0.42))
 
@@ -37,11 +39,16 @@ def movers(rng: Rng, texel_m: float, captures: int, *, people: int = 9, vehicles
     """Return a scene per capture with the same people and vehicles at other places on the routes; all share their textures."""
     build = SceneBuilder()
     build.kind = MOVING
-    skin, dark, glass = (build.add_texture(cloth(rng, texel_m, c)) for c in (SKIN, (0.035, 0.035, 0.04), (0.05, 0.07, 0.08)))
+    # textures use random numbers: their order matters
+    skin = build.add_texture(cloth(rng, texel_m, SKIN))
+    dark = build.add_texture(cloth(rng, texel_m, (0.035, 0.035, 0.04)))
+    glass = build.add_texture(cloth(rng, texel_m, (0.05, 0.07, 0.08)))
     clothes = [build.add_texture(cloth(rng, texel_m, c)) for c in CLOTHES]
-    helmets = [build.add_texture(cloth(rng, texel_m, c)) for c in ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))]
+    helmets = [build.add_texture(cloth(rng, texel_m, c)) for c in HELMETS]
     worn = rng.integers(len(clothes), size=(people, 2))
-    paints = [build.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[k % len(PAINTS)])) for k in range(vehicles)]
+    paints = []
+    for k in range(vehicles):
+        paints.append(build.add_texture(painted_steel(rng, 2.5, 2.5, texel_m, PAINTS[k % len(PAINTS)])))
     board = build.add_texture(sign_board(rng, 3.0, 1.5, texel_m, ("HAFEN", "DIENST"), PAINTS[0], (0.05, 0.1, 0.3)))
     scenes = []
     for _ in range(captures):
@@ -140,7 +147,9 @@ def traffic(
 
 def _on_way(rng: Rng, way: Way, stray_m: float, veer: float) -> tuple[Place, float]:
     """Return a random place and heading along a way, in either direction; `stray_m`, `veer` (radians): standard deviations."""
-    start, end = (np.array(p) for p in way)
+    start = np.array(way[0])
+    end = np.array(way[1])
     x, y = start + rng.uniform(0, 1) * (end - start) + rng.normal(0, stray_m, 2)
-    yaw = float(np.arctan2(*(end - start)[::-1])) + float(rng.normal(0, veer)) + np.pi * float(rng.integers(2))
+    yaw = float(np.arctan2(*(end - start)[::-1]))
+    yaw = yaw + float(rng.normal(0, veer)) + np.pi * float(rng.integers(2))  # half of them walk back
     return (float(x), float(y), 0.0), yaw

@@ -29,8 +29,9 @@ def car_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> CarTextures:
     """Add the textures of cars to a scene."""
     fine = min(texel_m, 0.03)
     paints = tuple(build.add_texture(_lacquer(rng, fine, colour)) for colour in CAR_PAINTS)
-    greys = ((0.045, 0.055, 0.062), (0.03, 0.03, 0.033), (0.70, 0.68, 0.62))
-    glass, dark, light = (build.add_texture(paint.cloth(rng, fine, grey)) for grey in greys)
+    glass = build.add_texture(paint.cloth(rng, fine, (0.045, 0.055, 0.062)))
+    dark = build.add_texture(paint.cloth(rng, fine, (0.03, 0.03, 0.033)))
+    light = build.add_texture(paint.cloth(rng, fine, (0.70, 0.68, 0.62)))
     plate = build.add_texture(paint.sign_board(rng, 0.52, 0.12, 0.01, ("HH WB 417",), (0.75, 0.75, 0.72), (0.03, 0.03, 0.05)))
     return CarTextures(paints, glass, dark, light, plate)
 
@@ -45,14 +46,17 @@ def _lacquer(rng: Rng, texel_m: float, colour: Colour) -> Texture:
 def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 4.3) -> SceneBuilder:
     """Return a car at the origin, nose along +x, as a part to `stamp`."""
     part = build.with_same_textures()
-    body, half, wide = look.paints[colour % len(look.paints)], length / 2, 1.76
+    body = look.paints[colour % len(look.paints)]
+    half = length / 2
+    wide = 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
     part.box((0.0, 0.0, 0.54), (length - 0.12, wide, 0.34), body)
     # the cabin: glass all round, under a painted roof
     low = [np.array([x * (length / 4.3), y, 0.88]) for x, y in ((0.95, 0.80), (-1.75, 0.80), (-1.75, -0.80), (0.95, -0.80))]
     top = [np.array([x * (length / 4.3), y, 1.44]) for x, y in ((0.25, 0.62), (-1.20, 0.62), (-1.20, -0.62), (0.25, -0.62))]
     for k, (a, c) in enumerate(zip(low, top, strict=True)):
-        b, d = low[(k + 1) % 4], top[(k + 1) % 4]
+        b = low[(k + 1) % 4]
+        d = top[(k + 1) % 4]
         for corners in (np.array([a, b, d]), np.array([a, d, c])):
             part.triangle(corners, (b - a) / np.linalg.norm(b - a), (0, 0, -1), look.glass)
         part.beam(a, c, 0.07, body)
@@ -96,7 +100,9 @@ def tree(build: SceneBuilder, rng: Rng, look: Furniture, *, height: float = 6.0)
     part = build.with_same_textures()
     part.tube((0.0, 0.0, 0.0), 0.03 * height, 0.55 * height, look.bark, sides=9)
     for _ in range(9):
-        turn, out, up = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.2) * height, rng.uniform(0.52, 0.88) * height
+        turn = rng.uniform(0, 2 * np.pi)
+        out = rng.uniform(0, 0.2) * height
+        up = rng.uniform(0.52, 0.88) * height
         size = rng.uniform(0.11, 0.19, 3) * height
         part.ball((out * np.cos(turn), out * np.sin(turn), up), size, look.crown, steps=6)
     return part

@@ -45,7 +45,8 @@ def facade(
     """Add a wall with openings, seen from outside: top left `corner`, unit direction `right`, `size` = (width, height).
 
     The wall is cut along the edges of its openings; one texture continues across all its pieces."""
-    corner, right = np.asarray(corner, np.float64), np.asarray(right, np.float64)
+    corner = np.asarray(corner, np.float64)
+    right = np.asarray(right, np.float64)
     inward = np.cross(right, -UP)
     xs = sorted({0.0, size[0], *(o.left for o in openings), *(o.left + o.width for o in openings)})
     ys = sorted({0.0, size[1], *(o.top for o in openings), *(o.top + o.height for o in openings)})
@@ -53,7 +54,9 @@ def facade(
         for left, end in itertools.pairwise(xs):
             if min(end - left, bottom - top) < 1e-6:  # edges of two openings that differ only by rounding
                 continue
-            x, y = 0.5 * (left + end), 0.5 * (top + bottom)
+            # a piece of wall, unless its middle lies in an opening
+            x = 0.5 * (left + end)
+            y = 0.5 * (top + bottom)
             if not any(o.left < x < o.left + o.width and o.top < y < o.top + o.height for o in openings):
                 build.quad(corner + left * right - top * UP, (end - left) * right, -(bottom - top) * UP, wall, (left, top))
     for o in openings:
@@ -62,7 +65,9 @@ def facade(
 
 def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Float64s, o: Opening, wall: int, sill: int) -> None:
     """Add the pane or door leaf, its four reveals, and a sill that sticks out."""
-    deep, across, down = o.depth * inward, o.width * right, -o.height * UP
+    deep = o.depth * inward
+    across = o.width * right
+    down = -o.height * UP
     build.quad(corner + deep, across, down, o.texture)
     build.quad(corner, deep, down, wall, (o.left, o.top))
     build.quad(corner + across + deep, -deep, down, wall, (o.left + o.width, o.top))
@@ -81,10 +86,15 @@ def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
     foot = np.array([box.x, box.y, 2.6 * box.level])
     serial = f"{box.name[:3]}U {rng.integers(100000, 999999)} {rng.integers(10)}"
     for sign in (-1, 1):
-        right, outward = -sign * ahead, sign * side
+        # a long side
+        right = -sign * ahead
+        outward = sign * side
         paint = build.add_texture(container_side(rng, length, height, texel_m, box.colour, box.name, serial))
-        _ribs(build, foot - right * length / 2 + outward * width / 2 + height * UP, right, outward, (length, height), paint)
-        right, outward = sign * side, sign * ahead
+        corner = foot - right * length / 2 + outward * width / 2 + height * UP
+        _ribs(build, corner, right, outward, (length, height), paint)
+        # an end: closed, with the name, or the doors with their bars
+        right = sign * side
+        outward = sign * ahead
         name = box.name if sign > 0 else ""
         paint = build.add_texture(container_side(rng, width, height, texel_m, box.colour, name, serial))
         corner = foot - right * width / 2 + outward * length / 2 + height * UP
@@ -99,7 +109,12 @@ def container(build: SceneBuilder, rng: Rng, texel_m: float, box: Box) -> None:
     build.quad(foot - ahead * length / 2 + side * width / 2 + height * UP, ahead * length, -side * width, roof)
 
 
-_POST, _DEEP = 0.16, 0.036
+_POST = 0.16
+"""Width of a container's posts and rails, metres."""
+
+_DEEP = 0.036
+"""Depth of its corrugation, metres."""
+
 _PROFILE = ((0.0, 0.0), (0.25, 0.0), (0.5, -_DEEP), (0.75, -_DEEP), (1.0, 0.0))
 """Profile of a rib: position along it, as a share of its pitch, and outward offset, metres."""
 
@@ -122,7 +137,8 @@ def _ribs(
         for (a, out_a), (b, out_b) in itertools.pairwise(_PROFILE):
             x = k * pitch + a * pitch
             step = (b - a) * pitch * right + (out_b - out_a) * outward
-            build.quad(top + x * right + out_a * outward, step, down, texture, (_POST + k * pitch + a * pitch, _POST), axis=right)
+            place = top + x * right + out_a * outward
+            build.quad(place, step, down, texture, (_POST + k * pitch + a * pitch, _POST), axis=right)
 
 
 def crane(
@@ -155,7 +171,8 @@ def _lattice(
         build.beam(corner, corner + length * along, 0.14, texture, offset=0.3 * k)
         neighbour = corners[(k + 1) % 4]
         for bay in range(bays):
-            low, high = (bay / bays) * length * along, ((bay + 1) / bays) * length * along
+            low = (bay / bays) * length * along
+            high = ((bay + 1) / bays) * length * along
             one, other = (low, high) if bay % 2 else (high, low)
             build.beam(corner + one, neighbour + other, 0.08, texture, offset=0.7 * bay)
             build.beam(corner + low, neighbour + low, 0.07, texture, offset=0.5 * bay)
@@ -165,7 +182,8 @@ def crates(build: SceneBuilder, rng: Rng, place: tuple[float, float], textures: 
     """Add a stack of crates of different sizes on pallets, set down by hand."""
     for k in range(rows):
         z = 0.0
-        x, y = place[0] + 1.25 * k + rng.normal(0, 0.1), place[1] + rng.normal(0, 0.25)
+        x = place[0] + 1.25 * k + rng.normal(0, 0.1)
+        y = place[1] + rng.normal(0, 0.25)
         for _ in range(int(rng.integers(1, levels + 1))):
             size = (float(rng.uniform(0.8, 1.15)), float(rng.uniform(0.7, 1.1)), float(rng.uniform(0.45, 0.95)))
             yaw = float(rng.normal(0, 0.25))
@@ -193,9 +211,10 @@ def heap(
     grid = np.stack([x + place[0], y + place[1], z], axis=-1)
     for i, j in np.ndindex(steps, steps):
         (a, b), (d, c) = grid[i : i + 2, j : j + 2]
+        at = (float(x[i, j]) + radius, float(y[i, j]) + radius)
         for corners in (np.array([a, b, c]), np.array([a, c, d])):
-            if corners[:, 2].max() > 0:
-                build.triangle(corners, (1, 0, 0), (0, 1, 0), texture, (float(x[i, j]) + radius, float(y[i, j]) + radius))
+            if corners[:, 2].max() > 0:  # not wholly under the ground
+                build.triangle(corners, (1, 0, 0), (0, 1, 0), texture, at)
 
 
 def lamp_post(build: SceneBuilder, place: tuple[float, float], height: float, steel: int) -> None:

@@ -91,7 +91,8 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
-    c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
+    c = np.cos(np.deg2rad(roll_deg))
+    s = np.sin(np.deg2rad(roll_deg))
     return np.array([c * right + s * down, -s * right + c * down, forward])
 
 
@@ -120,18 +121,25 @@ def _brown_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distortio
     """Fill in ray directions (x, y, 1) of distorted pixels, by fixed-point steps on Brown's model to 1e-12."""
     k1, k2, p1, p2, k3 = distortion
     for k in range(x.shape[0]):
-        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
-        a, b = u, v
+        u = (x[k] - K[0, 2]) / K[0, 0]
+        v = (y[k] - K[1, 2]) / K[1, 1]
+        # start undistorted; then divide by the radial factor, after subtracting the decentring, at the last position
+        a = u
+        b = v
         for _ in range(60):
             r2 = a * a + b * b
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             da = 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
             db = p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
-            before_a, before_b = a, b
-            a, b = (u - da) / radial, (v - db) / radial
+            before_a = a
+            before_b = b
+            a = (u - da) / radial
+            b = (v - db) / radial
             if abs(a - before_a) + abs(b - before_b) < 1e-12:
                 break
-        rays[k, 0], rays[k, 1], rays[k, 2] = a, b, 1.0
+        rays[k, 0] = a
+        rays[k, 1] = b
+        rays[k, 2] = 1.0
 
 
 @kernel
@@ -139,7 +147,8 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
     """Fill in unit ray directions of a fisheye's pixels, by Newton steps on Kannala and Brandt's polynomial."""
     k1, k2, k3, k4 = distortion
     for k in range(x.shape[0]):
-        u, v = (x[k] - K[0, 2]) / K[0, 0], (y[k] - K[1, 2]) / K[1, 1]
+        u = (x[k] - K[0, 2]) / K[0, 0]
+        v = (y[k] - K[1, 2]) / K[1, 1]
         radius = np.sqrt(u * u + v * v)
         angle = radius
         for _ in range(30):
@@ -150,7 +159,9 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
             if abs(step) < 1e-13:
                 break
         across = np.sin(angle) / radius if radius > 0 else 0.0
-        rays[k, 0], rays[k, 1], rays[k, 2] = across * u, across * v, np.cos(angle)
+        rays[k, 0] = across * u
+        rays[k, 1] = across * v
+        rays[k, 2] = np.cos(angle)
 
 
 def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> Float32s:
@@ -167,8 +178,10 @@ def pixel_rays(camera: Camera, lens: Lens | None, x: Float64s, y: Float64s) -> F
 def distort(lens: Lens, x: Float64s) -> Float64s:
     """Return the distorted positions (n, 2) of pixels of the undistorted view with the same K (Brown's model, OpenCV's order)."""
     assert lens.K is not None
-    K, (k1, k2, p1, p2, k3) = lens.K, lens.distortion
-    a, b = (x[:, 0] - K[0, 2]) / K[0, 0], (x[:, 1] - K[1, 2]) / K[1, 1]
+    K = lens.K
+    k1, k2, p1, p2, k3 = lens.distortion
+    a = (x[:, 0] - K[0, 2]) / K[0, 0]
+    b = (x[:, 1] - K[1, 2]) / K[1, 1]
     r2 = a * a + b * b
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     u = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)

@@ -61,11 +61,15 @@ def overcast_of(light: str, lamps: Sequence[Place]) -> Light:
     lit = light_of(light, lamps)
     if light == "day":
         lit = replace(lit, sky=(1.25, 1.27, 1.32), ground=(0.55, 0.54, 0.52), haze=(0.9, 0.92, 0.95))
-    alike = tuple(replace(lamp, power=lit.lamps[0].power) for lamp in lit.lamps)
-    return replace(lit, sun=(0.0, 0.0, 0.0), clouds=0.0, lamps=alike)
+    equal_lamps = tuple(replace(lamp, power=lit.lamps[0].power) for lamp in lit.lamps)
+    return replace(lit, sun=(0.0, 0.0, 0.0), clouds=0.0, lamps=equal_lamps)
 
 
 def _lit(places: Sequence[Place], strength: float) -> tuple[Lamp, ...]:
     """Return lamps that are on: every third is white, the others warm."""
-    warm, white = (34.0 * strength, 27.0 * strength, 17.0 * strength), (30.0 * strength, 29.0 * strength, 26.0 * strength)
-    return tuple(Lamp(place, warm if k % 3 else white) for k, place in enumerate(places))
+    warm = (34.0 * strength, 27.0 * strength, 17.0 * strength)
+    white = (30.0 * strength, 29.0 * strength, 26.0 * strength)
+    lamps = []
+    for k, place in enumerate(places):
+        lamps.append(Lamp(place, white if k % 3 == 0 else warm))
+    return tuple(lamps)

@@ -82,8 +82,10 @@ FIRST_CAPTURE = {
 
 SAMPLES = 2
 """Samples along each side of a pixel."""
+
 ROW, COLUMN = np.divmod(np.arange(SAMPLES * SAMPLES), SAMPLES)
 """Row and column of each sample within its pixel."""
+
 BATCH = 65536
 """Number of pixels that are rendered at a time."""
 Indices = npt.NDArray[np.int64]
@@ -145,7 +147,11 @@ class Frame(NamedTuple):
 
 def frames_of(empty: PreparedScene, traffic: Sequence[Scene]) -> tuple[Frame, ...]:
     """Return a prepared scene with its traffic at each capture, in the same light."""
-    return tuple(Frame(PreparedScene(joined(empty.scene, each), empty.light, empty.atlas, empty.sky), each) for each in traffic)
+    frames = []
+    for moving in traffic:
+        scene = PreparedScene(joined(empty.scene, moving), empty.light, empty.atlas, empty.sky)
+        frames.append(Frame(scene, moving))
+    return tuple(frames)
 
 
 def photograph(night: Night, shots: Shots, voxel_m: float) -> DemoSite:
@@ -164,17 +170,24 @@ def _photograph(
     empty: PreparedScene, frames: Sequence[Frame], viewpoint: Viewpoint, shots: Shots
 ) -> tuple[DemoCamera, list[TrueView]]:
     """Return one camera with its captures and ground truth, and its pinhole view (for a fisheye: several)."""
-    name, size = viewpoint.name, viewpoint.size(shots.size)
+    # 1. The camera and the truth of the empty scene.
+    name = viewpoint.name
+    size = viewpoint.size(shots.size)
     camera, lens = camera_at(viewpoint, size)
     wide = lens if lens.model == "fisheye" else None
     depth, normals = true_depth(empty, camera, wide)
+
+    # 2. Its captures.  Seeds depend on the camera's name, not on how many cameras there are.
     seed = [shots.seed, 3, sum(name.encode())]
     sensor = sensor_of(np.random.default_rng(seed), shots.light)
     rngs = [np.random.default_rng([*seed, k]) for k in range(len(frames))]
-    times = [FIRST_CAPTURE[shots.light] + timedelta(seconds=97 * k + seed[2] % 11) for k in range(len(frames))]
     images = captures(render_view(empty, camera, lens), frames, rngs, camera, lens, sensor)
+    first_time = FIRST_CAPTURE[shots.light] + timedelta(seconds=seed[2] % 11)
+    times = [first_time + timedelta(seconds=97 * k) for k in range(len(frames))]
     dated = tuple(burn_clock(image, name, time) for image, time in zip(images, times, strict=True))
     demo = DemoCamera(name, dated, tuple(times), clock_mask(size), depth, camera, lens)
+
+    # 3. What it contributes to the reference cloud.
     if wide is None:
         return demo, [TrueView(camera, depth, normals, undistorted_colours(demo))]
     pinholes = pinholes_of(camera, wide, name)
@@ -194,7 +207,8 @@ def captures(
         radiance.reshape(-1, 3)[pixels] = render_pixels(scene, camera, lens, pixels)
         if rain:
             radiance = add_rain(radiance, scene.light, rng)
-        yield develop(radiance, sensor, float(2 ** rng.uniform(-0.12, 0.12)), rng)
+        exposure = float(2 ** rng.uniform(-0.12, 0.12))
+        yield develop(radiance, sensor, exposure, rng)
 
 
 def render_view(prepared: PreparedScene, camera: Camera, lens: Lens | None) -> Float32s:
@@ -207,14 +221,16 @@ def render_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pi
     """Return linear radiance (n, 3) float32 of pixels, given by index: the means of their SAMPLES x SAMPLES samples."""
     out = np.empty((len(pixels), 3), np.float32)
     for start in range(0, len(pixels), BATCH):
-        out[start : start + BATCH] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[start : start + BATCH]))
+        batch = slice(start, start + BATCH)
+        out[batch] = shade_pixels(prepared, trace_pixels(prepared, camera, lens, pixels[batch]))
     return out
 
 
 def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pixels: Indices) -> Hits:
     """Return the hits of SAMPLES x SAMPLES rays through each pixel; pixels are given by their index in the image."""
     y, x = np.divmod(pixels[:, None], camera.width)
-    column, row = (SAMPLES * x + COLUMN).ravel().astype(np.float64), (SAMPLES * y + ROW).ravel().astype(np.float64)
+    column = (SAMPLES * x + COLUMN).ravel().astype(np.float64)
+    row = (SAMPLES * y + ROW).ravel().astype(np.float64)
     rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
     return trace(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
 
@@ -223,8 +239,9 @@ def shade_pixels(prepared: PreparedScene, seen: Hits) -> Float32s:
     """Return linear radiance (n, 3) float32 of n pixels from the hits of `trace_pixels`, in the light of `prepared`."""
     pixels = len(seen.directions) // (SAMPLES * SAMPLES)
     # the samples of a pixel use different points of the sun's disc, equal for all pixels: soft shadow edges without noise
-    disc = np.tile(np.column_stack([COLUMN + 0.4 * ROW, ROW - 0.4 * COLUMN]) * 1.4 - (0.98, 0.42), (pixels, 1))
-    return np.asarray(shade(prepared, seen, disc.astype(np.float32)).reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
+    points_of_disc = np.column_stack([COLUMN + 0.4 * ROW, ROW - 0.4 * COLUMN]) * 1.4 - (0.98, 0.42)
+    radiance = shade(prepared, seen, np.tile(points_of_disc, (pixels, 1)).astype(np.float32))
+    return np.asarray(radiance.reshape(pixels, SAMPLES * SAMPLES, 3).mean(axis=1))
 
 
 def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None) -> tuple[Float32s, Float32s]:
@@ -237,7 +254,8 @@ def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None
     distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
     known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
     normals = prepared.scene.normals[np.maximum(facet, 0)]
-    normals = np.where((np.einsum("ni,ni->n", normals, rays) > 0)[:, None], -normals, normals)
+    is_back = np.einsum("ni,ni->n", normals, rays) > 0
+    normals = np.where(is_back[:, None], -normals, normals)
     depth = np.where(known, distance, np.float32(0))
     if wide is None:
         depth = (depth * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
@@ -252,7 +270,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
     for turn, (left, right, up, down) in views:
         f = lens.K[0, 0]
         K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * up - 0.5], [0.0, 0.0, 1.0]])
-        size = round(f * (right - left)), round(f * (down - up))
+        size = (round(f * (right - left)), round(f * (down - up)))
         turned = replace(lens, camera=name, turn=np.array(turn))
         found.append(Camera(K, np.array(turn) @ camera.R, camera.C, *size, lens=turned))
     return found
@@ -260,19 +278,27 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
 
 def changed_pixels(scene: Scene, light: Light, camera: Camera, lens: Lens, tile: int = 8) -> Bools:
     """Return the mask (h, w) of pixels that facets of `scene` or their shadows on the ground may change, in whole tiles."""
-    rows, cols = -(-camera.height // tile), -(-camera.width // tile)
+    rows = -(-camera.height // tile)  # rounded up
+    cols = -(-camera.width // tile)
     mark = np.zeros((rows + 1, cols + 1), np.int32)
     facets = scene.vertices.astype(np.float64).reshape(-1, 3, 3)
+    # a facet's shadow is not only its image on the ground: everything between them may be shaded
     swept = [np.concatenate([facets, shadow], axis=1) for shadow in _shadows(facets, light)]
     for group in [facets, *swept]:
+        # 1. Project the corners of each facet.
         if lens.model == "fisheye":
             rays = (group.reshape(-1, 3) - camera.C) @ camera.R.T
-            pixels, ahead = lens_pixels(lens, rays), np.linalg.norm(rays, axis=1)
+            pixels = lens_pixels(lens, rays)
+            ahead = np.linalg.norm(rays, axis=1)
         else:
             pinhole, ahead = project(camera, group.reshape(-1, 3))
             pixels = distort(lens, pinhole)
         at = pixels.reshape(len(group), -1, 2) / tile
-        at = at[(ahead.reshape(len(group), -1) > 0.5).all(axis=1) & (np.abs(at) < 1e4).all(axis=(1, 2))]
+        is_ahead = (ahead.reshape(len(group), -1) > 0.5).all(axis=1)
+        is_near = (np.abs(at) < 1e4).all(axis=(1, 2))
+        at = at[is_ahead & is_near]
+
+        # 2. Mark the tiles of their bounding rectangles, with a margin for lens distortion between corners.
         low = np.clip(np.floor(at.min(axis=1) - 0.3), 0, (cols, rows)).astype(np.intp)
         high = np.clip(np.floor(at.max(axis=1) + 0.3) + 1, 0, (cols, rows)).astype(np.intp)
         # +1 and -1 at the corners of each rectangle: their cumulative sum counts the rectangles that cover a tile
@@ -297,7 +323,8 @@ def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
 def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     """Return the points where the segments from `start` down to `end` meet z = 0, clamped to the segments."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.clip(np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0), 0, 1)
+        share = np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0)
+        share = np.clip(share, 0, 1)
     return np.asarray(start + share[..., None] * (end - start), np.float64)
 
 
@@ -313,6 +340,7 @@ def undistorted_colours(camera: DemoCamera, pinhole: Camera | None = None) -> Ui
         rays = np.column_stack([pixels, np.ones(len(x))]) @ np.linalg.inv(view.K).T
         at = np.nan_to_num(lens_pixels(camera.lens, rays @ view.lens.turn))
     at = np.rint(at).astype(np.intp)
-    u, v = np.clip(at[:, 0], 0, camera.lens.width - 1), np.clip(at[:, 1], 0, camera.lens.height - 1)
+    u = np.clip(at[:, 0], 0, camera.lens.width - 1)
+    v = np.clip(at[:, 1], 0, camera.lens.height - 1)
     middle = np.median(np.stack([image[v, u] for image in camera.captures]), axis=0).astype(np.uint8)
     return np.asarray(middle.reshape(view.height, view.width, 3), np.uint8)

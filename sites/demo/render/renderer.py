@@ -36,6 +36,7 @@ class Atlas(NamedTuple):
 
 
 LEVELS = 9
+"""Levels of each texture's pyramid: the coarsest texel is 256 times as wide as the finest."""
 
 
 def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
@@ -45,11 +46,14 @@ def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
         levels.append(texture.pixels)
         for _ in range(LEVELS - 1):
             levels.append(_halved(levels[-1]))
-    heights, widths = np.array([level.shape[:2] for level in levels], np.int32).reshape(-1, LEVELS, 2).transpose(2, 0, 1)
+    shapes = np.array([level.shape[:2] for level in levels], np.int32).reshape(-1, LEVELS, 2)
+    heights = shapes[..., 0].copy()
+    widths = shapes[..., 1].copy()
     areas = heights.ravel() * widths.ravel()
     starts = (np.cumsum(areas) - areas).astype(np.int32).reshape(-1, LEVELS)
     texels = np.concatenate([level.reshape(-1, 3) for level in levels])
-    return Atlas(texels, starts, heights.copy(), widths.copy(), np.array([t.texel_m for t in textures], np.float32))
+    texel_m = np.array([texture.texel_m for texture in textures], np.float32)
+    return Atlas(texels, starts, heights, widths, texel_m)
 
 
 def _halved(fine: Uint8s) -> Uint8s:
@@ -62,6 +66,7 @@ def _halved(fine: Uint8s) -> Uint8s:
 
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
+"""Directions +x -x +y -y +z -z, as in `SkyGrid.open`."""
 
 
 class SkyGrid(NamedTuple):
@@ -80,6 +85,7 @@ OPEN_SKY = SkyGrid(np.ones((2, 2, 2, 6), np.float32), np.zeros(3, np.float32), 1
 
 
 def tensor(array: Any) -> Any:
+    """Return an array as an open3d tensor."""
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 
@@ -118,7 +124,7 @@ class PreparedScene:
         The shares are estimated with rays along `directions` (n, 3)."""
         still = self.scene.vertices[np.repeat(self.scene.kinds == STATIC, 3)]
         low = still.min(axis=0) - cell_m
-        shape = (np.ceil((still.max(axis=0) + cell_m - low) / cell_m).astype(int) + 1)[::-1]
+        shape = (np.ceil((still.max(axis=0) + cell_m - low) / cell_m).astype(int) + 1)[::-1]  # z, y, x
         points = low + cell_m * np.indices(shape, np.float32).reshape(3, -1)[::-1].T
         seen = np.zeros((len(points), 6), np.float32)
         total = np.zeros(6, np.float32)
@@ -126,7 +132,9 @@ class PreparedScene:
             facing = np.maximum(AXES @ d, 0)
             # light is also reflected by the ground: rays below the horizon count half, and fully if they are not occluded
             clear = self.reaches(points, np.broadcast_to(d, points.shape).astype(np.float32), far=25.0)
-            seen += (clear if d[2] > 0 else 0.5 + 0.5 * clear)[:, None] * facing
+            if d[2] <= 0:
+                clear = 0.5 + 0.5 * clear
+            seen += clear[:, None] * facing
             total += facing
         return SkyGrid((seen / total).reshape(*shape, 6), low.astype(np.float32), cell_m)
 
@@ -163,12 +171,15 @@ def sky_radiance(light: Light, directions: Float32s) -> Float32s:
     """Return the radiance of the sky, (n, 3): haze at the horizon, `light.sky` higher up, and bands of cloud."""
     up = np.clip(directions[:, 2], 0, 1)[:, None]
     blend = np.sqrt(up)
-    x, y = directions[:, 0] / (up[:, 0] + 0.12), directions[:, 1] / (up[:, 0] + 0.12)
+    # position on a flat layer of cloud, kept finite at the horizon
+    x = directions[:, 0] / (up[:, 0] + 0.12)
+    y = directions[:, 1] / (up[:, 0] + 0.12)
     band = np.sin(1.7 * x + 0.6 * y) * np.sin(0.8 * x - 1.9 * y + 1.0)
     band = band + 0.5 * np.sin(4.1 * x + 2.3 * y) * np.sin(3.3 * y - 1.2 * x)
     cloud = light.clouds * np.clip(band, 0, 1)[:, None]
-    colour = np.asarray(light.haze, np.float32) * (1 - blend) + np.asarray(light.sky, np.float32) * blend
-    return np.asarray(colour + cloud * (np.asarray(light.haze, np.float32) - colour * 0.5), dtype=np.float32)
+    haze = np.asarray(light.haze, np.float32)
+    colour = haze * (1 - blend) + np.asarray(light.sky, np.float32) * blend
+    return np.asarray(colour + cloud * (haze - colour * 0.5), dtype=np.float32)
 
 
 def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: Float32s) -> Float32s:
@@ -182,11 +193,13 @@ def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: F
     hit = seen.facet >= 0
     share = gloss[prepared.scene.texture_of[seen.facet[hit]]]
     wet = np.flatnonzero(share > 0)
-    rays, facing = seen.directions[hit][wet], seen.facing[wet]
+    rays = seen.directions[hit][wet]
+    facing = seen.facing[wet]
     cosine = np.clip(-np.sum(rays * facing, axis=1, keepdims=True), 0, 1)
     mirrored = (rays + 2 * cosine * facing).astype(np.float32)
     clear = prepared.reaches(lifted[wet], mirrored)[:, None]
-    there = clear * sky_radiance(prepared.light, mirrored) + (1 - clear) * np.asarray(prepared.light.ground, np.float32) * 0.5
+    ground = np.asarray(prepared.light.ground, np.float32)
+    there = clear * sky_radiance(prepared.light, mirrored) + (1 - clear) * ground * 0.5
     part = share[wet, None] * (_HEAD_ON + (1 - _HEAD_ON) * (1 - cosine) ** 5)
     radiance[wet] += part * (there - radiance[wet])
     return radiance
@@ -198,9 +211,13 @@ def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, sprea
     distance, facet = prepared.cast(origins, directions)
     scene = prepared.scene
     hit = facet >= 0
-    rays, far, on = directions[hit], distance[hit], facet[hit]
+    rays = directions[hit]
+    far = distance[hit]
+    on = facet[hit]
     points = np.asarray(centre, np.float32) + rays * far[:, None]
-    facing = np.where((np.einsum("ni,ni->n", scene.normals[on], rays) > 0)[:, None], -scene.normals[on], scene.normals[on])
+    normals = scene.normals[on]
+    is_back = np.einsum("ni,ni->n", normals, rays) > 0
+    facing = np.where(is_back[:, None], -normals, normals)
     albedo = np.empty_like(points)
     painted = (scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of)
     _filter(albedo, (points, rays, facing, far, on), spread, painted, prepared.atlas)
@@ -212,21 +229,24 @@ def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
 
     jitter: (n, 2) float32 in -1..1, the point of the sun's disc that each sample uses.
     """
-    scene, light = prepared.scene, prepared.light
+    scene = prepared.scene
+    light = prepared.light
     hit = seen.facet >= 0
     radiance = np.empty_like(seen.directions)
     radiance[~hit] = sky_radiance(light, seen.directions[~hit])
     if not hit.any():
         return radiance
-    points, facing = seen.points, seen.facing
+    points = seen.points
+    facing = seen.facing
     received = np.empty_like(points)
     _sky_light(received, points, facing, prepared.sky, np.array(light.sky, np.float32), np.array(light.ground, np.float32))
+    # rays to the lights start a little off the surface, further away the more distant it is: single precision
     lifted = points + facing * np.float32(0.004) * np.maximum(seen.distance[hit] * np.float32(0.05), 1)[:, None]
     _add_sun(prepared, received, lifted, facing, jitter[hit])
     for lamp in light.lamps:
         _add_lamp(prepared, received, lifted, facing, lamp)
     if light.lamps:
-        received[scene.kinds[seen.facet[hit]] == GLOWING] = 1.2
+        received[scene.kinds[seen.facet[hit]] == GLOWING] = 1.2  # lamps look lit, whatever falls on them
     radiance[hit] = add_sheen(prepared, seen, lifted, seen.albedo * received)
     return radiance
 
@@ -240,14 +260,16 @@ def _add_sun(prepared: PreparedScene, received: Float32s, points: Float32s, faci
     lit = np.flatnonzero(cosine > 0)
     if not len(lit) or max(prepared.light.sun) <= 0:
         return
-    towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * np.cross(side, sun).astype(np.float32))
+    other_side = np.cross(side, sun).astype(np.float32)
+    towards = sun + np.float32(0.009) * (jitter[lit, :1] * side + jitter[lit, 1:] * other_side)  # 0.009 rad: half a degree
     clear = prepared.reaches(points[lit], towards.astype(np.float32))
     received[lit] += (cosine[lit] * clear)[:, None] * np.asarray(prepared.light.sun, np.float32)
 
 
 def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, facing: Float32s, lamp: Lamp) -> None:
     """Add the light of one lamp where it is bright enough to matter."""
-    place, power = np.asarray(lamp.position, np.float32), np.asarray(lamp.power, np.float32)
+    place = np.asarray(lamp.position, np.float32)
+    power = np.asarray(lamp.power, np.float32)
     strength = np.empty(len(points), np.float32)
     _lamp_strength(strength, points, facing, place, float(0.012 / power.max()))
     lit = np.flatnonzero(strength)
@@ -260,7 +282,9 @@ def _add_lamp(prepared: PreparedScene, received: Float32s, points: Float32s, fac
 def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, place: Float32s, least: float) -> None:
     """Fill in a hooded lamp's strength (little light goes up): falloff times cosine, minus `least`, at least 0."""
     for k in range(points.shape[0]):
-        x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
+        x = place[0] - points[k, 0]
+        y = place[1] - points[k, 1]
+        z = place[2] - points[k, 2]
         square = x * x + y * y + z * z
         distance = np.sqrt(square)
         cosine = (normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z) / distance
@@ -272,7 +296,9 @@ def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, plac
 def _mirror(i: int, n: int) -> int:
     """Return the index of the texel at position i of an endlessly mirrored row of n texels."""
     i = i % (2 * n)
-    return i if i < n else 2 * n - 1 - i
+    if i < n:
+        return i
+    return 2 * n - 1 - i
 
 
 @kernel
@@ -291,6 +317,7 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
             cosine -= rays[k, c] * normals[k, c]
         cosine = max(cosine, 0.03)
         width = distance[k] * spread
+        # 1. The footprint's shape in the facet.
         # long axis of the footprint: the ray's direction projected into the facet; short axis: across it
         lx = rays[k, 0] + cosine * normals[k, 0]
         ly = rays[k, 1] + cosine * normals[k, 1]
@@ -299,10 +326,13 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
         lu = (lx * along_u[f, 0] + ly * along_u[f, 1] + lz * along_u[f, 2]) / norm
         lv = (lx * along_v[f, 0] + ly * along_v[f, 1] + lz * along_v[f, 2]) / norm
         long_m = width / cosine
-        u, v = offsets[f, 0], offsets[f, 1]
+        # 2. Where its centre is in the texture, metres.
+        u = offsets[f, 0]
+        v = offsets[f, 1]
         for c in range(3):
             u += (points[k, c] - origins[f, c]) * along_u[f, c]
             v += (points[k, c] - origins[f, c]) * along_v[f, c]
+        # 3. Number of taps, and the level whose texels are about as wide as the part of the footprint that a tap covers.
         taps = min(int(1.0 / cosine) + 1, 8)
         footprint = max(width, long_m / taps) / texel_m[t]
         level = 0
@@ -310,14 +340,21 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
             footprint *= 0.5
             level += 1
         scale = 1.0 / (texel_m[t] * (1 << level))
-        h, w, start = heights[t, level], widths[t, level], starts[t, level]
-        red, green, blue = 0.0, 0.0, 0.0
+        h = heights[t, level]
+        w = widths[t, level]
+        start = starts[t, level]
+        # 4. The mean of the taps, bilinear each, in linear light (texels hold square roots).
+        red = 0.0
+        green = 0.0
+        blue = 0.0
         for tap in range(taps):
             along = ((tap + 0.5) / taps - 0.5) * long_m
             x = (u + along * lu) * scale - 0.5
             y = (v + along * lv) * scale - 0.5
-            x0, y0 = int(np.floor(x)), int(np.floor(y))
-            ax, ay = x - x0, y - y0
+            x0 = int(np.floor(x))
+            y0 = int(np.floor(y))
+            ax = x - x0
+            ay = y - y0
             for dy in range(2):
                 row = start + _mirror(y0 + dy, h) * w
                 for dx in range(2):
@@ -327,7 +364,9 @@ def _filter(albedo: Float32s, seen: tuple[Any, ...], spread: float, painted: tup
                     green += weight * float(texels[index, 1]) ** 2
                     blue += weight * float(texels[index, 2]) ** 2
         gain = 1.0 / (taps * 255.0 * 255.0)
-        albedo[k, 0], albedo[k, 1], albedo[k, 2] = red * gain, green * gain, blue * gain
+        albedo[k, 0] = red * gain
+        albedo[k, 1] = green * gain
+        albedo[k, 2] = blue * gain
 
 
 @kernel
@@ -339,8 +378,13 @@ def _sky_light(received: Float32s, points: Float32s, normals: Float32s, around: 
         x = min(max((points[k, 0] + 0.6 * cell * normals[k, 0] - corner[0]) / cell, 0.0), nx - 1.001)
         y = min(max((points[k, 1] + 0.6 * cell * normals[k, 1] - corner[1]) / cell, 0.0), ny - 1.001)
         z = min(max((points[k, 2] + 0.6 * cell * normals[k, 2] - corner[2]) / cell, 0.0), nz - 1.001)
-        ix, iy, iz = int(x), int(y), int(z)
-        ax, ay, az = x - ix, y - iy, z - iz
+        ix = int(x)
+        iy = int(y)
+        iz = int(z)
+        ax = x - ix
+        ay = y - iy
+        az = z - iz
+        # trilinear, and over the three half spaces that the normal faces: the squares of its components add up to 1
         seen = 0.0
         for axis in range(3):
             n = normals[k, axis]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,17 @@ from .paint import Texture
 Vector = tuple[float, float, float] | Float64s
 UP = np.array([0.0, 0.0, 1.0])
 
-STATIC, MOVING, WATER, GLOWING = 0, 1, 2, 3
-"""Kinds of facets: static, moving between captures, water (rendered, but without ground truth), and lamps."""
+STATIC = 0
+"""Kind of facets that stay."""
+
+MOVING = 1
+"""Kind of facets that move between captures."""
+
+WATER = 2
+"""Kind of facets of water: rendered, but without ground truth."""
+
+GLOWING = 3
+"""Kind of facets of lamps."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,8 @@ class SceneBuilder:
     def with_same_textures(self) -> SceneBuilder:
         """Return a builder without facets that shares this one's textures and their numbers."""
         other = SceneBuilder()
-        other._textures, other.kind = self._textures, self.kind
+        other._textures = self._textures
+        other.kind = self.kind
         return other
 
     def add_texture(self, texture: Texture) -> int:
@@ -111,14 +120,19 @@ class SceneBuilder:
     ) -> None:
         """Add a box with its bottom centre at `base`; `sides` replaces `texture` on upright faces, `front` on the -y face."""
         width, depth, height = (float(s) for s in size)
-        foot, across, back = np.asarray(base, np.float64), *axes_of(yaw)
-        x, y, z = across * width, back * depth, np.array([0, 0, height])
+        foot = np.asarray(base, np.float64)
+        across, back = axes_of(yaw)
+        # the box's edges
+        x = across * width
+        y = back * depth
+        z = np.array([0, 0, height])
 
         def corner(a: float, b: float, c: float) -> Float64s:
             return np.asarray(foot + a * width / 2 * across + b * depth / 2 * back + c * z, np.float64)
 
         wall = texture if sides is None else sides
-        self.quad(corner(-1, -1, 1), x, -z, wall if front is None else front, (offset, 0.0))
+        front_wall = wall if front is None else front
+        self.quad(corner(-1, -1, 1), x, -z, front_wall, (offset, 0.0))
         self.quad(corner(1, -1, 1), y, -z, wall, (offset + width, 0.0))
         self.quad(corner(1, 1, 1), -x, -z, wall, (offset, 0.0))
         self.quad(corner(-1, 1, 1), -y, -z, wall, (offset + width, 0.0))
@@ -130,7 +144,8 @@ class SceneBuilder:
         a = np.asarray(start, np.float64)
         along = np.asarray(end, np.float64) - a
         axis = along / float(np.linalg.norm(along))
-        side = np.cross(axis, (0, 0, 1.0) if abs(axis[2]) < 0.95 else (0, 1.0, 0))
+        not_along = (0, 0, 1.0) if abs(axis[2]) < 0.95 else (0, 1.0, 0)
+        side = np.cross(axis, not_along)
         side /= np.linalg.norm(side)
         other = np.cross(axis, side)
         for p, q in ((other, side), (-side, other), (-other, -side), (side, -other)):
@@ -141,7 +156,8 @@ class SceneBuilder:
         """Add an upright cylinder; the texture runs around it."""
         turn = np.linspace(0, 2 * np.pi, sides + 1)
         circle = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(sides + 1)])
-        foot, lift = np.asarray(base, np.float64), np.array([0, 0, height])
+        foot = np.asarray(base, np.float64)
+        lift = np.array([0, 0, height])
         rim = foot + circle + lift
         for k, (start, end) in enumerate(itertools.pairwise(foot + circle)):
             step = end - start
@@ -151,13 +167,16 @@ class SceneBuilder:
 
     def ball(self, centre: Vector, radii: Vector, texture: int, *, steps: int = 8) -> None:
         """Add an ellipsoid of `steps` x 2 `steps` faces, for heads, shoulders and wheels seen from afar."""
-        down, around = np.linspace(0, np.pi, steps + 1)[:, None], np.linspace(0, 2 * np.pi, 2 * steps + 1)
+        down = np.linspace(0, np.pi, steps + 1)[:, None]
+        around = np.linspace(0, 2 * np.pi, 2 * steps + 1)
         height = np.broadcast_to(np.cos(down), (steps + 1, 2 * steps + 1))
         unit = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), height], axis=-1)
         surface = np.asarray(centre, np.float64) + np.asarray(radii, np.float64) * unit
         for i, j in np.ndindex(steps, 2 * steps):
+            # corners of a face: a, d above, b, e below; u runs around the ball
             (a, d), (b, e) = surface[i : i + 2, j : j + 2]
-            u, at = np.array([-np.sin(around[j]), np.cos(around[j]), 0.0]), (0.3 * j, 0.3 * i)
+            u = np.array([-np.sin(around[j]), np.cos(around[j]), 0.0])
+            at = (0.3 * j, 0.3 * i)
             # at the poles, one of the two triangles has no area
             if i < steps - 1:
                 self.triangle(np.array([a, b, e]), u, (0, 0, -1), texture, at)
@@ -170,7 +189,8 @@ class SceneBuilder:
         It is rotated about its origin by `yaw` radians and by exactly `quarters` right angles, then moved to `at`, metres."""
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
         turn = quarter @ np.column_stack([*axes_of(yaw), UP])
-        corners, origins, u, v = (np.array(column) @ turn.T for column in list(zip(*part._facets, strict=True))[:4])
+        vectors = list(zip(*part._facets, strict=True))[:4]
+        corners, origins, u, v = (np.array(column) @ turn.T for column in vectors)
         move = np.asarray(at, np.float64)
         for facet, *moved in zip(part._facets, corners + move, origins + move, u, v, strict=True):
             self._facets.append((*moved, *facet[4:]))
@@ -180,16 +200,23 @@ class SceneBuilder:
         corners, origins, u, v, offsets, textures, kinds = (np.array(column) for column in zip(*self._facets, strict=True))
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        floats = zip(VECTORS, (corners.reshape(-1, 3), normals, origins, u, v, offsets), strict=True)
-        vectors: dict[str, Any] = {name: column.astype(np.float32) for name, column in floats}
         return Scene(
-            **vectors, texture_of=textures.astype(np.int32), kinds=kinds.astype(np.uint8), textures=tuple(self._textures)
+            vertices=corners.reshape(-1, 3).astype(np.float32),
+            normals=normals.astype(np.float32),
+            origins=origins.astype(np.float32),
+            along_u=u.astype(np.float32),
+            along_v=v.astype(np.float32),
+            offsets=offsets.astype(np.float32),
+            texture_of=textures.astype(np.int32),
+            kinds=kinds.astype(np.uint8),
+            textures=tuple(self._textures),
         )
 
 
 def axes_of(yaw: float) -> tuple[Float64s, Float64s]:
     """Return (3,) unit vectors ahead and to the left for a heading of `yaw` radians north of east."""
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     return np.array([c, s, 0]), np.array([-s, c, 0])
 
 
