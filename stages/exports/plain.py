@@ -19,6 +19,7 @@ from ..types import Capture
 MOST_INLINE = 64
 """Arrays of at most this many numbers are stored in the JSON itself."""
 MOST_COLUMNS = 16
+"""Largest number of columns of a CSV table; images have more."""
 MOST_ROWS = 20_000
 """Largest number of rows of a CSV table, for people to read; larger arrays are npy."""
 _FORMATS = {"f8": "%.17g", "f4": "%.9g"}
@@ -41,17 +42,26 @@ def write(value: Any, folder: Path, stem: str) -> Any:
         (folder / file).write_bytes(value.data.tobytes())
         return {"capture": value.name, "file": file}
     if dataclasses.is_dataclass(value):
-        stored = [f.name for f in dataclasses.fields(value) if not f.metadata.get("transient")]  # transient ones are recomputed
-        fields = {name: write(getattr(value, name), folder, f"{stem}.{name}") for name in stored}
+        fields = {}
+        for field in dataclasses.fields(value):
+            if field.metadata.get("transient"):  # recomputed by the reader
+                continue
+            fields[field.name] = write(getattr(value, field.name), folder, f"{stem}.{field.name}")
         return {"type": f"{type(value).__module__}:{type(value).__qualname__}", "fields": fields}
     if isinstance(value, Mapping):
         entries = []
         for key in value:
-            name = "--".join(map(str, key)) if isinstance(key, tuple) else key
-            entries.append([list(key) if isinstance(key, tuple) else key, write(value[key], folder, f"{stem}.{name}")])
+            if isinstance(key, tuple):
+                name = "--".join(map(str, key))
+                stored_key: Any = list(key)
+            else:
+                name = key
+                stored_key = key
+            entries.append([stored_key, write(value[key], folder, f"{stem}.{name}")])
         return {"map": entries}
     if isinstance(value, tuple | list):
-        return {type(value).__name__: [write(item, folder, f"{stem}.{i}") for i, item in enumerate(value)]}
+        items = [write(item, folder, f"{stem}.{i}") for i, item in enumerate(value)]
+        return {type(value).__name__: items}
     raise TypeError(f"{type(value).__name__} cannot be written as files")
 
 
@@ -64,7 +74,9 @@ def read(node: Any, folder: Path) -> Any:
     if "capture" in node:
         return Capture(node["capture"], np.fromfile(folder / node["file"], dtype=np.uint8))
     if "map" in node:
-        nodes = {tuple(key) if isinstance(key, list) else key: entry for key, entry in node["map"]}
+        nodes = {}
+        for key, entry in node["map"]:
+            nodes[tuple(key) if isinstance(key, list) else key] = entry  # JSON has no tuples
         return OnDemand(nodes, lambda key: read(nodes[key], folder))
     if "tuple" in node:
         return tuple(read(item, folder) for item in node["tuple"])
@@ -76,14 +88,16 @@ def read(node: Any, folder: Path) -> Any:
 
 
 def _write_array(array: Array, folder: Path, stem: str) -> dict[str, Any]:
+    """Write an array as the most readable file that holds it without loss; returns its JSON data."""
     node = {"dtype": array.dtype.str, "shape": list(array.shape)}
     if array.size <= MOST_INLINE:
         return node | {"values": array.ravel().tolist()}
     image = _png_image(array)
     if image is not None:
         file = f"{stem}.png"
-        (folder / file).write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    elif array.ndim <= 2 and array.dtype.kind in "fiub" and len(array) <= MOST_ROWS and array.size <= MOST_COLUMNS * len(array):
+        _, data = cv2.imencode(".png", image)
+        (folder / file).write_bytes(data.tobytes())
+    elif _is_table(array):
         file = f"{stem}.csv"
         np.savetxt(folder / file, array, _FORMATS.get(array.dtype.str[1:], "%d"), ",")
     else:
@@ -92,14 +106,25 @@ def _write_array(array: Array, folder: Path, stem: str) -> dict[str, Any]:
     return node | {"file": file}
 
 
+def _is_table(array: Array) -> bool:
+    """Is it a short list or a narrow table of numbers?"""
+    if array.ndim > 2 or array.dtype.kind not in "fiub":
+        return False
+    return len(array) <= MOST_ROWS and array.size <= MOST_COLUMNS * len(array)
+
+
 def _read_array(node: dict[str, Any], folder: Path) -> Array:
-    dtype, shape = np.dtype(node["dtype"]), tuple(node["shape"])
+    """The array of which `_write_array` returned `node`."""
+    dtype = np.dtype(node["dtype"])
+    shape = tuple(node["shape"])
     if "values" in node:
         return np.array(node["values"], dtype=dtype).reshape(shape)
     path = folder / node["file"]
     if path.suffix == ".png":
         data: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        return np.ascontiguousarray(data[..., ::-1] if len(shape) == 3 else data).astype(dtype).reshape(shape)
+        if len(shape) == 3:
+            data = data[..., ::-1]  # OpenCV's channels are blue, green, red
+        return np.ascontiguousarray(data).astype(dtype).reshape(shape)
     if path.suffix == ".csv":
         parsed_type = np.float64 if dtype.kind == "f" else np.int64
         return np.loadtxt(path, dtype=parsed_type, delimiter=",", ndmin=1).astype(dtype).reshape(shape)

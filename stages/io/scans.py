@@ -14,8 +14,15 @@ import numpy as np
 from ..types import Float64s
 
 CLOUDS = (".las", ".laz", ".e57", ".ply", ".pcd", ".xyz")
+"""Suffixes of files that may hold points."""
 MESHES = (".obj", ".stl", ".off")
+"""Suffixes of files that hold triangles alone; a PLY may hold either."""
 _SEED = 0
+"""Seed of the points that are sampled on a mesh."""
+_LEAST_SAMPLES = 1000
+"""Smallest number of points that are sampled on a mesh."""
+_MOST_SAMPLES = 20_000_000
+"""Largest number of points that are sampled on a mesh: about a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -70,19 +77,30 @@ def _e57(path: Path) -> Scan:
     for k in range(file.scan_count):
         scan = file.read_scan(k, ignore_missing_fields=True)
         parts.append(np.column_stack([scan[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64))
-    crs_name = str(file.root["coordinateMetadata"].value()) if file.root.isDefined("coordinateMetadata") else ""
-    return Scan(np.vstack(parts), int(crs_name[5:]) if crs_name.startswith("EPSG:") and crs_name[5:].isdigit() else None)
+    crs_name = ""
+    if file.root.isDefined("coordinateMetadata"):
+        crs_name = str(file.root["coordinateMetadata"].value())
+    # other names, and descriptions in WKT, are not understood
+    epsg = None
+    code = crs_name.removeprefix("EPSG:")
+    if crs_name.startswith("EPSG:") and code.isdigit():
+        epsg = int(code)
+    return Scan(np.vstack(parts), epsg)
 
 
 def _open3d(path: Path, kind: str, spacing: float) -> Float64s:
+    """(n, 3) points of a file: sampled on its triangles if it has some, else its own."""
     import open3d
 
-    mesh = _read(open3d.io.read_triangle_mesh, path) if kind in (".ply", *MESHES) else None
-    if mesh is None or not len(mesh.triangles):
-        return np.asarray(_read(open3d.io.read_point_cloud, path).points, np.float64) if kind in CLOUDS else np.zeros((0, 3))
-    open3d.utility.random.seed(_SEED)
-    count = int(np.clip(mesh.get_surface_area() / spacing**2, 1000, 20_000_000))
-    return np.asarray(mesh.sample_points_uniformly(count).points, np.float64)
+    if kind in (".ply", *MESHES):
+        mesh = _read(open3d.io.read_triangle_mesh, path)
+        if len(mesh.triangles):
+            open3d.utility.random.seed(_SEED)
+            count = int(np.clip(mesh.get_surface_area() / spacing**2, _LEAST_SAMPLES, _MOST_SAMPLES))
+            return np.asarray(mesh.sample_points_uniformly(count).points, np.float64)
+    if kind in CLOUDS:
+        return np.asarray(_read(open3d.io.read_point_cloud, path).points, np.float64)
+    return np.zeros((0, 3))
 
 
 def _read(function: Callable[[Path], Any], path: Path) -> Any:
