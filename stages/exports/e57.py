@@ -25,16 +25,25 @@ _POINTS_AT_ONCE = 1_000_000
 
 def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
     """E57 of a cloud, in map coordinates if there is a georeference.  The same cloud gives the same bytes."""
-    points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
+    points = cloud.points.astype(np.float64)
+    normals = cloud.normals.astype(np.float64)
     crs = ""
     if georeference is not None:
-        points, normals = georeference.points(points), georeference.directions(points, normals)
+        normals = georeference.directions(points, normals)  # at the points of the local frame
+        points = georeference.points(points)
         crs = f"EPSG:{georeference.epsg}"
+    colors = cloud.colors.astype(np.float64)
     columns: dict[str, Float64s] = {
-        **{f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")},
-        **{f"color{name}": cloud.colors[:, k].astype(np.float64) for k, name in enumerate(("Red", "Green", "Blue"))},
+        "cartesianX": points[:, 0],
+        "cartesianY": points[:, 1],
+        "cartesianZ": points[:, 2],
+        "colorRed": colors[:, 0],
+        "colorGreen": colors[:, 1],
+        "colorBlue": colors[:, 2],
         "intensity": cloud.confidence.astype(np.float64),
-        **{f"nor:normal{axis}": normals[:, k] for k, axis in enumerate("XYZ")},
+        "nor:normalX": normals[:, 0],
+        "nor:normalY": normals[:, 1],
+        "nor:normalZ": normals[:, 2],
     }
     with tempfile.TemporaryDirectory() as folder:  # the library writes files only
         path = Path(folder) / "cloud.e57"
@@ -43,12 +52,19 @@ def e57_bytes(cloud: Cloud, georeference: Georeference | None = None) -> bytes:
 
 
 def _write(path: str, columns: dict[str, Float64s], points: Float64s, crs: str) -> None:
+    """Write the file.  columns: attributes of the points by name; points (n, 3), crs: as for `_add_scan`."""
     file = libe57.ImageFile(path, "w")
     try:
-        guid = uuid.UUID(bytes=hashlib.sha256(b"".join(c.tobytes() for c in columns.values())).digest()[:16])
-        scan = _add_scan(file, columns, points, str(guid), crs)
-        buffers, chunk = libe57.VectorSourceDestBuffer(), {name: np.empty(_POINTS_AT_ONCE) for name in columns}
-        for name, values in chunk.items():
+        # the same cloud gets the same identifier
+        content = b"".join(values.tobytes() for values in columns.values())
+        guid = uuid.UUID(bytes=hashlib.sha256(content).digest()[:16])
+        scan = _add_scan(file, points, str(guid), crs)
+        # the library reads from buffers that it was given once
+        buffers = libe57.VectorSourceDestBuffer()
+        chunk = {}
+        for name in columns:
+            values = np.empty(_POINTS_AT_ONCE)
+            chunk[name] = values
             buffers.append(libe57.SourceDestBuffer(file, name, values, _POINTS_AT_ONCE, True, True))
         writer = scan.writer(buffers)
         for start in range(0, len(points), _POINTS_AT_ONCE):
@@ -61,12 +77,10 @@ def _write(path: str, columns: dict[str, Float64s], points: Float64s, crs: str) 
         file.close()
 
 
-def _add_scan(
-    file: libe57.ImageFile, columns: dict[str, Float64s], points: Float64s, guid: str, crs: str
-) -> libe57.CompressedVectorNode:
-    """Builds the node tree of the file, and returns the node for its points (n, 3).
+def _add_scan(file: libe57.ImageFile, points: Float64s, guid: str, crs: str) -> libe57.CompressedVectorNode:
+    """Build the node tree of the file, and return the node for its points (n, 3).
 
-    columns: attributes of the points; guid: identifies the cloud; crs: the coordinate system, "" for a local one.
+    guid: identifies the cloud; crs: the coordinate system, "" for a local one.
     """
     file.extensionsAdd("", libe57.E57_V1_0_URI)
     file.extensionsAdd(*_NORMALS)
@@ -83,8 +97,12 @@ def _add_scan(
     scan.set("guid", libe57.StringNode(file, f"{{{guid}-0}}"))
     scan.set("name", libe57.StringNode(file, "cloud"))
     scan.set("description", libe57.StringNode(file, "wbflow; intensity is the confidence of a point, 0 to 1"))
-    low, high, step = points.min(axis=0), points.max(axis=0), coordinate_step(points)
-    bounds, colours, intensities = (libe57.StructureNode(file) for _ in range(3))
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    step = coordinate_step(points)
+    bounds = libe57.StructureNode(file)
+    colours = libe57.StructureNode(file)
+    intensities = libe57.StructureNode(file)
     prototype = libe57.StructureNode(file)
     for k, axis in enumerate("XYZ"):
         bounds.set(f"{axis.lower()}Minimum", libe57.FloatNode(file, float(low[k])))
@@ -92,16 +110,18 @@ def _add_scan(
         offset = float(np.floor(low[k]))
         most_steps = int(np.ceil((high[k] - offset) / step)) + 1
         prototype.set(f"cartesian{axis}", libe57.ScaledIntegerNode(file, 0, 0, most_steps, step, offset))
-    for name in (name for name in columns if name.startswith("color")):
+    for name in ("colorRed", "colorGreen", "colorBlue"):
         prototype.set(name, libe57.IntegerNode(file, 0, 0, 255))
         colours.set(f"{name}Minimum", libe57.IntegerNode(file, 0))
         colours.set(f"{name}Maximum", libe57.IntegerNode(file, 255))
-    for name, minimum in (("intensity", 0.0), *((f"nor:normal{axis}", -1.0) for axis in "XYZ")):
-        prototype.set(name, libe57.FloatNode(file, 0.0, libe57.E57_SINGLE, minimum, 1.0))
+    prototype.set("intensity", libe57.FloatNode(file, 0.0, libe57.E57_SINGLE, 0.0, 1.0))
+    for axis in "XYZ":
+        prototype.set(f"nor:normal{axis}", libe57.FloatNode(file, 0.0, libe57.E57_SINGLE, -1.0, 1.0))
     intensities.set("intensityMinimum", libe57.FloatNode(file, 0.0))
     intensities.set("intensityMaximum", libe57.FloatNode(file, 1.0))
-    for name, node in (("cartesianBounds", bounds), ("colorLimits", colours), ("intensityLimits", intensities)):
-        scan.set(name, node)
+    scan.set("cartesianBounds", bounds)
+    scan.set("colorLimits", colours)
+    scan.set("intensityLimits", intensities)
     points_node = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
     scan.set("points", points_node)
     scans.append(scan)
