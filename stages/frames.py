@@ -24,6 +24,7 @@ from .capture.privacy import blanked, private_area, with_margin
 from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
 from .capture.straight import CapturePinhole
 from .capture.video import DamagedVideo, all_pictures
+from .contracts.unknown import known_or_none
 from .io.image_headers import focal_in_long_sides, has_deep_values, largest_stated_value, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
 
@@ -181,10 +182,10 @@ def _merged_frame(
         image,
         trusted,
         camera.view(width, height),
-        (*notes, *weight_notes),
-        **vars(image_statistics(background.image, allowed)),
+        notes=(*notes, *weight_notes),
+        **{name: known_or_none(figure) for name, figure in vars(image_statistics(background.image, allowed)).items()},
         **vars(signal),
-        blur_px=blur_px(background.image, allowed),
+        blur_px=known_or_none(blur_px(background.image, allowed)),
         detail_px=detail_px(background.image, allowed, noise),
         noise_left=noise,
         coarseness=1 + (signal.blocking - 1) * width / camera.width,

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from .contracts.camera_figures import HealthState
 from .core.luminance import grey_levels
 from .twoview.global_search import search_globally
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
-from .types import Camera, CameraHealth, Float32s, Float64s, Frame, Uint8s, Usual
+from .types import Camera, CameraHealth, Float32s, Float64s, Frame, ShiftHistory, Uint8s
 
 _TILE_PX = 16
 """Edge of the tiles in which structure is looked for, pixels."""
@@ -91,9 +92,9 @@ class _Case:
     turn: Turn | None = None
     """The turn of the camera since the reference, if its picture could be registered."""
 
-    def closed(self, state: str, text: str, remedy: str = "", corrected: bool = False) -> CameraHealth:
+    def closed(self, state: HealthState, text: str, remedy: str = "", corrected: bool = False) -> CameraHealth:
         """The final `CameraHealth`."""
-        health = CameraHealth(state, text, remedy, self.figures, self.expected, corrected)
+        health = CameraHealth(state, text, self.figures, self.expected, remedy, corrected)
         if self.turn is None:
             return health
         return replace(health, turn=self.turn.R, homography=self.turn.homography)
@@ -103,7 +104,7 @@ def examine(
     frame: Frame,
     pinned_frame: Frame | None = None,
     pinned_camera: Camera | None = None,
-    usual: Usual | None = None,
+    history: ShiftHistory | None = None,
     *,
     nudged_px: float = 1.5,
     moved_deg: float = 0.4,
@@ -117,7 +118,7 @@ def examine(
     frame : tonight's frame.
     pinned_frame, pinned_camera : the reference's frame, and the camera that took it; without them only the frame itself is
         judged.
-    usual : measurements of earlier nights, so that a camera that usually sways does not count as shifted each time.
+    history : measurements of earlier nights, so that a camera that usually sways does not count as shifted each time.
     nudged_px : a camera counts as shifted, and its pose is corrected, if its picture has moved by more than this (median
         over the picture), in pixels of the frame.  If its usual sway, three standard deviations, is larger, that is the limit.
     moved_deg : a camera counts as moved if it has turned by more than this, in degrees.  Its pose is corrected if a turn
@@ -156,7 +157,7 @@ def examine(
     if case.turn is None:
         return _unregistered_state(case, grey1, grey2, pinned_frame, frame, K)
     case.figures["sharpness"] = _relative_sharpness(grey1, grey2, matches, case.turn)
-    return _registered_state(case, case.turn, usual, nudged_px, moved_deg)
+    return _registered_state(case, case.turn, history, nudged_px, moved_deg)
 
 
 def _size_text(frame: Frame) -> str:
@@ -165,9 +166,9 @@ def _size_text(frame: Frame) -> str:
     return f"{w}x{h}"
 
 
-def _registered_state(case: _Case, turn: Turn, usual: Usual | None, nudged_px: float, moved_deg: float) -> CameraHealth:
+def _registered_state(case: _Case, turn: Turn, history: ShiftHistory | None, nudged_px: float, moved_deg: float) -> CameraHealth:
     """The state of a camera whose picture has been registered: in place, shifted, or moved."""
-    limit = max(nudged_px, _sway(usual))  # a mast sways every night
+    limit = max(nudged_px, _sway(history))  # a mast sways every night
     case.figures |= {
         "motion_px": turn.motion_px,
         "shift_x_px": float(turn.shift[0]),
@@ -225,11 +226,11 @@ def _unregistered_state(case: _Case, grey1: Uint8s, grey2: Uint8s, pinned: Frame
     return case.closed("ok", f"unverified: too little of the reference is recognised ({new.mode})")
 
 
-def _sway(usual: Usual | None) -> float:
+def _sway(history: ShiftHistory | None) -> float:
     """Three robust standard deviations of the shifts of earlier nights, pixels; 0 if there are too few nights."""
-    if usual is None or len(usual.shift_x_px) < _FEWEST_NIGHTS:
+    if history is None or len(history.shift_x_px) < _FEWEST_NIGHTS:
         return 0.0
-    shifts = np.stack([usual.shift_x_px, usual.shift_y_px])
+    shifts = np.stack([history.shift_x_px, history.shift_y_px])
     # 1.4826 turns the median distance from the median place into a standard deviation, which single nights cannot spoil.
     distances = np.linalg.norm(shifts - np.median(shifts, axis=1, keepdims=True), axis=0)
     return float(_SIGMAS * 1.4826 * np.median(distances))

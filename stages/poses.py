@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .contracts.reasons import Reason, Rejected
+from .contracts.unknown import known_or_none
 from .core.cameras import camera_of
 from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
@@ -318,16 +319,24 @@ def _pair_fit(cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry, max
     error_px = epipolar_error_px(cameras, pair, geometry)
     rotation_deg = turned_deg(cameras, pair, geometry)
     if error_px <= max_epipolar_px:
-        return PairCheck(True, "", "", geometry.epipolar_px, error_px, rotation_deg, "stated")
+        return PairCheck(True, "", "", geometry.epipolar_px, known_or_none(error_px), known_or_none(rotation_deg), "stated")
     rejection = Rejected(Reason.MATCHES_CONTRADICT_CAMERAS, {"epipolar_px": error_px})
-    return PairCheck(False, rejection.reason, rejection.code, geometry.epipolar_px, error_px, rotation_deg, "stated")
+    return PairCheck(
+        kept=False,
+        reason=rejection.reason,
+        code=rejection.code,
+        estimated_px=geometry.epipolar_px,
+        adjusted_px=known_or_none(error_px),
+        rotation_off_deg=known_or_none(rotation_deg),
+        known="stated",
+    )
 
 
 def _moved_check(name: str, known: _KnownPoses, solved: Camera | None) -> PoseCheck:
     """The check of a camera that is not at its stated pose, with its displacement."""
     own_pairs = _pairs_of(name, known.pairs)
     inliers = sum(geometry.inliers for geometry in own_pairs.values())
-    check = PoseCheck(len(own_pairs), inliers, float("nan"), True)
+    check = PoseCheck(len(own_pairs), inliers, moved=True)
     if solved is None or solved.component != 0:  # outside the main model there is no common world to measure in
         return check
     stated = known.stated[name]
@@ -338,7 +347,7 @@ def _moved_check(name: str, known: _KnownPoses, solved: Camera | None) -> PoseCh
 def _moved_message(name: str, check: PoseCheck, metric: bool) -> str:
     """The message for a camera that is not at its stated pose; metric: whether lengths are in metres."""
     text = f"the known pose of {name} contradicts the images"
-    if np.isnan(check.off_m):
+    if check.off_m is None:
         return f"{text}; by how much is unknown: it is left out. Has it been moved?"
     unit = "m" if metric else "units"
     displacement = f"{check.off_m:.3f} {unit} and {check.off_deg:.2f} degrees"
@@ -447,4 +456,12 @@ def _as_stated(
         unsolved[name] = f"{missing} given, and {why}"
     metric = all(placements[name].metric for name in stated)
     scale = "calibration" if metric else "calibration, not metric"
-    return Poses(stated, unsolved, {}, metric, "calibration", components=(tuple(stated),), scale=scale, crs=survey.crs)
+    return Poses(
+        stated,
+        unsolved=unsolved,
+        metric=metric,
+        source="calibration",
+        components=(tuple(stated),),
+        scale=scale,
+        crs=survey.crs,
+    )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from pydantic import TypeAdapter, model_serializer, model_validator
+
+_T = TypeVar("_T")
 
 DIGITS = 4
 """Decimal places of numbers in JSON."""
@@ -24,9 +26,7 @@ class JsonDataclass:
     @classmethod
     def from_json(cls, data: Any) -> Self:
         """Return the dataclass with these fields.  Raises ValueError if the data does not fit."""
-        kind: Any = cls
-        result: Self = _adapter(kind).validate_python(data)
-        return result
+        return read_json(cls, data)
 
 
 class FlatJsonDataclass(JsonDataclass):
@@ -41,6 +41,13 @@ class FlatJsonDataclass(JsonDataclass):
     def _flatten(self, write: Any) -> dict[str, Any]:
         data = write(self)
         return {**data.pop("figures"), **data}
+
+
+def read_json(kind: type[_T], data: Any) -> _T:
+    """Return the dataclass of this type with these fields.  Raises ValueError if the data does not fit."""
+    any_kind: Any = kind
+    result: _T = _adapter(any_kind).validate_python(data)
+    return result
 
 
 @functools.cache

@@ -222,12 +222,12 @@ def _surface_depth(scene: open3d.t.geometry.RaycastingScene, camera: Camera) -> 
 
 def _view_weights(frames: list[Frame]) -> Float64s:
     """Weight of the area in each view: less if it is blurred compared with the others, overexposed, or without colour."""
-    # figures that were not measured are nan, and take nothing away
-    sharpness = np.array([frame.sharpness for frame in frames])
+    # figures that were not measured are None, in arrays nan, and take nothing away
+    sharpness = np.array([frame.sharpness for frame in frames], np.float64)
     sharpness = np.where(np.isfinite(sharpness), sharpness, 1.0)
-    saturated = np.array([frame.saturated for frame in frames])
+    saturated = np.array([frame.saturated for frame in frames], np.float64)
     saturated = np.where(np.isfinite(saturated), saturated, 0.0)
-    coloured = np.array([frame.colour > _COLOURLESS for frame in frames])
+    coloured = np.array([frame.colour is None or frame.colour > _COLOURLESS for frame in frames])
 
     sharp = np.clip(sharpness / max(float(np.median(sharpness)), 1e-6), _LEAST_SHARPNESS_WEIGHT, 1.0)
     exposed = 1 - saturated

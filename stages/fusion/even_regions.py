@@ -30,7 +30,7 @@ def usable_pixels(frame: Frame, depth: DepthMap) -> Bools:
     grey = grey_levels(frame.image).astype(np.float32)
     detail = cv2.blur(np.square(grey - cv2.blur(grey, (3, 3))), (3, 3))
     # the noise that is left adds to the detail
-    even = (detail < (_MOST_DETAIL + 0.25 * frame.noise_left) ** 2) & frame.mask
+    even = (detail < (_MOST_DETAIL + 0.25 * (frame.noise_left or 0.0)) ** 2) & frame.mask
     region_count, region = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
     pixels = np.bincount(region.ravel())
     filled = np.bincount(region.ravel(), np.isfinite(depth.depth).ravel(), region_count)

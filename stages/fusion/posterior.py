@@ -127,7 +127,7 @@ def noisiness(frame: Frame) -> Float32s:
     side = 2 * _PATCH_PX * spacing_px(grey.shape) + 1
     mean = cv2.blur(grey, (side, side))
     variance = np.maximum(cv2.blur(grey * grey, (side, side)) - mean * mean, np.float32(_ROUNDING_VARIANCE))
-    return np.asarray(np.log1p(np.float32(frame.noise_left**2) / variance), np.float32)
+    return np.asarray(np.log1p(np.float32((frame.noise_left or 0.0) ** 2) / variance), np.float32)
 
 
 def _logit(coefficients: Float64s, evidence: list[Float32s], known: Bools) -> Float32s:

@@ -71,11 +71,6 @@ def point_cloud(cloud: Cloud) -> open3d.geometry.PointCloud:
     return converted
 
 
-def cloud_figures(cloud: Cloud) -> dict[str, Any]:
-    """Corners of a cloud's bounding box."""
-    return {"bounds": (tuple(cloud.points.min(axis=0).tolist()), tuple(cloud.points.max(axis=0).tolist()))}
-
-
 def coordinate_step(points: Float64s) -> float:
     """Step of coordinates stored as integers: a power of ten, as fine as the resolution of float32 for points of this extent."""
     span = float(np.ptp(points, axis=0).max())

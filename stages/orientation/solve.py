@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..contracts.reasons import Reason, Rejected
+from ..contracts.unknown import known_or_none
 from ..core.cameras import relative_pose
 from ..core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance
 from ..core.residual_distortion import UNDISTORTED_PX, residual_px, without_distortion
@@ -246,7 +247,7 @@ def _excess_px(name: str, graph: ViewGraph, checks: Mapping[str, PairCheck]) -> 
     for edge, geometry in graph.geometries.items():
         check = checks["--".join(graph.ids(edge))]
         has_lenses = not set(edge) & set(graph.lenses.solved)
-        if name in graph.ids(edge) and has_lenses and np.isfinite(check.adjusted_px):
+        if name in graph.ids(edge) and has_lenses and check.adjusted_px is not None and check.estimated_px is not None:
             excesses.append((check.adjusted_px - check.estimated_px, geometry.inliers * geometry.good_probability))
     if not excesses:
         return float("nan")
@@ -288,10 +289,18 @@ def _check(
     rotation_deg = turned_deg(cameras, pair, geometry)
     if undistorted_px <= max_epipolar_px:
         # Cameras that were solved without this pair agree with it after all.
-        return PairCheck(True, "", "", own_px, adjusted_px, rotation_deg, "solved")
+        return PairCheck(True, "", "", own_px, known_or_none(adjusted_px), known_or_none(rotation_deg), "solved")
     if rejection is None:
         rejection = Rejected(Reason.CONTRADICTS_CAMERAS, {"epipolar_px": undistorted_px})
-    return PairCheck(False, rejection.reason, rejection.code, own_px, adjusted_px, rotation_deg, "solved")
+    return PairCheck(
+        kept=False,
+        reason=rejection.reason,
+        code=rejection.code,
+        estimated_px=own_px,
+        adjusted_px=known_or_none(adjusted_px),
+        rotation_off_deg=known_or_none(rotation_deg),
+        known="solved",
+    )
 
 
 def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected], unsupported: set[str]) -> str:

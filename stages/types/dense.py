@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..contracts.camera_figures import DepthFigures
+from ..contracts.ground_figures import CloudFigures
+from ..contracts.pair_figures import DisparityFigures, RectifyFigures
 from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Int16s, Uint8s, Uint16s, Uint32s
 
@@ -96,6 +99,19 @@ class Rectification(Record):
     """(6,) fx fy cx cy k1 k2 of the distortion that remains in each frame (`core.residual_distortion`); the rectification
     applies to straightened pixels.  None if there is none."""
 
+    @property
+    def figures(self) -> RectifyFigures:
+        """What the engine reports of it."""
+        return RectifyFigures(
+            angle_deg=self.angle_deg,
+            vertical_px=self.vertical_px,
+            method=self.method,
+            verified=self.verified,
+            row_share=self.row_share,
+            row_chance=self.row_chance,
+            row_error_px=self.row_error_px,
+        )
+
 
 @dataclass(frozen=True)
 class RowMatches(Record):
@@ -124,6 +140,11 @@ class Disparity(Record):
     density: float
     """Share of the common valid area that has a disparity."""
     rows: RowMatches | None = None
+
+    @property
+    def figures(self) -> DisparityFigures:
+        """What the engine reports of it."""
+        return DisparityFigures(density=self.density)
 
 
 INVALID = -32768
@@ -155,6 +176,11 @@ class DepthMap(Record):
     """Ids of the other cameras of pairs that were not used because there were too many."""
     offset_px: Mapping[str, float] = field(default_factory=dict)
     """Overall difference in pixels between the depths that two partners give, by "left--right" of the partners."""
+
+    @property
+    def figures(self) -> DepthFigures:
+        """What the engine reports of it."""
+        return DepthFigures(offset_px=self.offset_px)
 
     def support_of(self, partners: tuple[str, ...]) -> Uint32s:
         """(h, w) `support` with the bits of other partners; a partner that is not among them is left out."""
@@ -191,3 +217,15 @@ class Cloud(Record):
     divided by the one expected from `noise_px`."""
     correct_share: float | None = None
     """Share of the points that is expected to be right: mean confidence; None for a cloud that was read from its file."""
+
+    @property
+    def figures(self) -> CloudFigures:
+        """What the engine reports of it."""
+        lowest, highest = self.points.min(axis=0), self.points.max(axis=0)
+        return CloudFigures(
+            points=len(self.points),
+            bounds=(tuple(lowest.tolist()), tuple(highest.tolist())),
+            sample_counts=self.sample_counts,
+            misfits=self.misfits,
+            correct_share=self.correct_share,
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ..contracts.ground_figures import Change, ChangesFigures, CoverageFigures, CutFill
 from ..contracts.short_repr import Record
 from .arrays import Float32s, Float64s, Uint8s, Uint16s
 
@@ -57,63 +58,17 @@ class Coverage(Record):
     crs: str = ""
     """`metric` and `crs`: see `Poses`."""
 
-
-@dataclass(frozen=True)
-class Change(Record):
-    """A single thing that has appeared, vanished or moved."""
-
-    kind: str
-    """"new", "vanished" or "moved"."""
-    x: float
-    """Centre of the box around it (x, y, z), in the world."""
-    y: float
-    z: float
-    length: float
-    """Longer side of the rectangle around it on the ground."""
-    width: float
-    """Shorter side of the rectangle around it on the ground."""
-    height: float
-    """Height above what was below it, 90th percentile over the cells that it covers."""
-    area: float
-    """Ground area that it covers."""
-    volume: float
-    """Volume between its surface and what was, or is now, below it."""
-    volume_sigma: float
-    """Standard deviation of the volume."""
-    significance: float
-    """Median over its points of distance over standard deviation."""
-    likeness: float
-    """Median correlation of the photographs of it and of what was there, -1 to 1; -2 if they show nothing."""
-    points: int
-    cameras: str
-    """Ids of the cameras that see it, or saw it, joined by commas."""
-    zone: str = ""
-    """Name of the zone that contains it."""
-    from_x: float = 0.0
-    """Where a moved thing was (from_x, from_y, from_z)."""
-    from_y: float = 0.0
-    from_z: float = 0.0
-
-
-@dataclass(frozen=True)
-class CutFill(Record):
-    """Volumes gained and lost on a part of the ground since the reference, world lengths."""
-
-    gained: float
-    """Volume added by changes."""
-    gained_sigma: float
-    lost: float
-    """Volume removed by changes."""
-    lost_sigma: float
-    level: float
-    """Level of detection, median: surfaces closer to each other than this count as the same."""
-    common_sigma: float
-    """Standard deviation of the height offset between both nights that all places share; `gained_sigma` and `lost_sigma`
-    include it."""
-    area: float
-    """Area of the ground that both nights saw."""
-    unseen: float
-    """Area that one of the nights (for a zone, one or both) did not see: nothing in it counts."""
+    @property
+    def figures(self) -> CoverageFigures:
+        """What the engine reports of it."""
+        return CoverageFigures(
+            area_m2=self.area,
+            seen_by_one=self.seen_by_one,
+            seen_by_two=self.seen_by_two,
+            angle_deg=self.median_angle_deg,
+            error_m=self.median_error,
+            lost_without=self.lost_without,
+        )
 
 
 @dataclass(frozen=True)
@@ -159,6 +114,20 @@ class Changes(Record):
     metric: bool = True
     crs: str = ""
     """`metric` and `crs`: see `Poses`."""
+
+    @property
+    def figures(self) -> ChangesFigures:
+        """What the engine reports of it."""
+        return ChangesFigures(
+            compared=self.compared,
+            count=self.count,
+            changed_share=self.changed_share,
+            unknown_share=self.unknown_share,
+            noise=self.noise,
+            cut_fill=self.cut_fill,
+            zones=self.zones,
+            changes=self.changes,
+        )
 
 
 # Values of `Changes.label`

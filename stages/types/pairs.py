@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from ..contracts.pair_figures import GeometryFigures, MatchesFigures
 from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from .views import View
@@ -34,6 +35,11 @@ class Matches(Record):
     """Number of nights whose matches are pooled here; matches of several nights have no keypoints."""
     searched: tuple[object, ...] = field(default=(), compare=False, repr=False, metadata={"transient": True})
     """Search results of the matcher that geometry may reuse; not part of the artifact, and computed again if missing."""
+
+    @property
+    def figures(self) -> MatchesFigures:
+        """What the engine reports of them."""
+        return MatchesFigures(matches=len(self.x1))
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,16 @@ class Geometry(Record):
     """Deviation of these intrinsics from those of usual cameras, in squared standard deviations; nan if they are known."""
     warnings: tuple[str, ...] = ()
     """Degenerate cases that did not reject the pair, in words."""
+
+    @property
+    def figures(self) -> GeometryFigures:
+        """What the engine reports of it."""
+        return GeometryFigures(
+            inliers=len(self.x1),
+            angle_deg=self.angle_deg,
+            epipolar_px=self.epipolar_px,
+            probability=self.good_probability,
+        )
 
 
 Found = TypeVar("Found", Matches, Geometry)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..contracts.camera_figures import FeaturesFigures, FrameFigures, Notes
 from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Uint8s
 from .captured import Lens
@@ -54,7 +55,7 @@ class Camera(Record):
 
 
 @dataclass(frozen=True)
-class Frame(Record):
+class Frame(FrameFigures, Notes):
     """The night's clean view of one camera at working resolution: upright, undistorted, moving things removed."""
 
     image: Uint8s
@@ -62,47 +63,6 @@ class Frame(Record):
     mask: Bools
     """(h, w), True where a pixel may be used."""
     view: View
-    notes: tuple[str, ...] = ()
-    """Notes for the operator (captures left out, exposure)."""
-    brightness: float = float("nan")
-    """Mean grey level of the usable pixels, 0 to 255."""
-    contrast: float = float("nan")
-    """Standard deviation of the grey levels of the usable pixels."""
-    saturated: float = float("nan")
-    """Share of the usable pixels that is saturated."""
-    sharpness: float = float("nan")
-    """Standard deviation of the Laplacian as a share of the contrast: lowered by defocus, drops and dirt, not by darkness."""
-    combing: float = 0.0
-    """Share of the captures' structured parts in which every second row is from another moment, or shifted (median)."""
-    blocking: float = 1.0
-    """Ratio of the strength of edges at the borders of the captures' coded blocks to that within blocks."""
-    blur_px: float = float("nan")
-    """Standard deviation of the blur of the sharper edges in the frame's softest part, pixels; nan if it has no edges."""
-    detail_px: float = 1.0
-    """Spacing in pixels of the details that the frame resolves, in the coarser direction."""
-    coarseness: float = 1.0
-    """`blocking` as far as it remains at working resolution."""
-    cast: float = 1.0
-    """Mean of the strongest of red, green and blue over that of the weakest, in the captures."""
-    colour: float = 1.0
-    """Median saturation of the captures with their cast removed, 0 (grey, infrared) to 1."""
-    noise: float = 0.0
-    """Standard deviation of the captures' noise, grey levels (median)."""
-    noise_left: float = 0.0
-    """`noise` as far as it remains after the median of the captures, at working resolution."""
-    frames_used: int = 1
-    """Number of captures with full weight."""
-    doubtful: float = 0.0
-    """Share of pixels where no majority of the captures agrees: something stood or moved there."""
-    unchanged: float = 0.0
-    """Share of pixels with exactly equal grey levels in all captures; 0 for a single capture."""
-    taken_first: str = ""
-    taken_last: str = ""
-    """Times of the first and the last capture, ISO 8601, as the camera recorded them; "" if it did not."""
-    taken_in_order: bool = True
-    """False where the cameras' times contradict the order of the captures."""
-    picture_digest: str = ""
-    """Digest of the last capture's pixels: it differs between any two cameras."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +87,11 @@ class Features(Record):
     """Number of rows of the plain view."""
     preprocessing: str = "none"
     """How the image was prepared: "none" or "clahe"."""
+
+    @property
+    def figures(self) -> FeaturesFigures:
+        """What the engine reports of them."""
+        return FeaturesFigures(keypoints=len(self.xy))
 
 
 # Values of `Features.tilts`

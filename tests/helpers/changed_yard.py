@@ -36,7 +36,7 @@ class BoxNight:
     @property
     def poses(self) -> Poses:
         """The cameras as poses."""
-        return Poses(self.cameras, {}, {}, metric=True, source="calibration")
+        return Poses(self.cameras, metric=True, source="calibration")
 
     def arguments(self, prefix: str = "") -> dict[str, Any]:
         """The night as arguments of `find_changes`; prefix: "reference_" for the reference's."""

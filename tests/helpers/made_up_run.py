@@ -18,13 +18,14 @@ from wbflow.cache.store import Cache, Preimage, Receipt
 from wbflow.pipeline.stages import FRAMES, FUSE, GEOMETRY, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
-from wbflow.records.findings import Finding, Health, Verdict
+from wbflow.records.findings import Finding, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.report.data import ReportData
 from wbflow.report.page import build_report
 from wbflow.site.models import Site
 from wbflow.task import Task
+from wbflow_stages.contracts.camera_figures import Health
 from wbflow_stages.exports.view import cloud_view
 from wbflow_stages.types import Cloud
 

@@ -15,10 +15,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from wbflow_stages.contracts.camera_figures import HealthState
 from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.types import (
     Camera,
@@ -39,8 +40,8 @@ from wbflow_stages.types import (
     Poses,
     Rectification,
     Rejected,
+    ShiftHistory,
     Survey,
-    Usual,
     View,
 )
 
@@ -59,12 +60,13 @@ def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *
     return Frame(pixels, np.ones((8, 8), bool), view, notes=("toy", state))
 
 
-def examine(frame: Frame, pinned_frame: Frame | None, usual: Usual | None, *, nudged_px: float = 1.5) -> CameraHealth:
+def examine(frame: Frame, pinned_frame: Frame | None, history: ShiftHistory | None, *, nudged_px: float = 1.5) -> CameraHealth:
     """The capture itself gives its state, as in "shifted: a view"; a figure counts the earlier nights."""
     _trouble("health")
-    state = frame.notes[1] if pinned_frame else "ok"
-    figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(usual.roll_deg)) if usual else -1.0}
-    return CameraHealth(state, "as the capture says", "none", figures if pinned_frame else {}, corrected=state == "shifted")
+    state = cast(HealthState, frame.notes[1] if pinned_frame else "ok")
+    figures = {"shift_x_px": 0.5, "shift_y_px": 0.0, "roll_deg": 0.0, "nights": float(len(history.roll_deg)) if history else -1.0}
+    measured = figures if pinned_frame else {}
+    return CameraHealth(state, "as the capture says", measured, remedy="none", corrected=state == "shifted")
 
 
 def detect(frame: Frame, *, offset: float = 0.0) -> Features:
@@ -134,7 +136,7 @@ def solve_poses(
         n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds, lens=views[n].lens)
         for i, n in enumerate(names)
     }
-    return Poses(cameras, unsolved, {}, metric=True, source="calibration", components=groups, crs=survey.crs)
+    return Poses(cameras, unsolved=unsolved, metric=True, source="calibration", components=groups, crs=survey.crs)
 
 
 def rectify(

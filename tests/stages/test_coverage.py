@@ -17,7 +17,7 @@ from wbflow_stages.types import Coverage, Poses, Rejected, Scene
 
 YARD = make_yard((-40, -20, 0, 20, 40), width=160)
 DEPTHS = YARD.depths()
-POSES = Poses(YARD.cameras, {}, {}, metric=True, source="calibration")
+POSES = Poses(YARD.cameras, metric=True, source="calibration")
 
 
 def covered(leave_out: str = "", max_angle_deg: float = 60.0) -> Coverage:

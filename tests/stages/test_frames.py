@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.helpers.measured import measured
 from wbflow_stages.capture.files import (
     BadCapture,
     EmptyCapture,
@@ -295,10 +296,10 @@ def test_darkness_lowers_brightness_and_defocus_lowers_sharpness() -> None:
         clean_frame([capture(picture)], Lens(), None)
         for picture in (image, (image * 0.3).astype(np.uint8), cv2.GaussianBlur(image, (0, 0), 3))
     )
-    assert abs(dark.brightness / shown.brightness - 0.3) < 0.01
-    assert abs(dark.sharpness / shown.sharpness - 1) < 0.1
-    assert blurred.sharpness < 0.5 * shown.sharpness
-    assert abs(blurred.brightness / shown.brightness - 1) < 0.01
+    assert abs(measured(dark.brightness) / measured(shown.brightness) - 0.3) < 0.01
+    assert abs(measured(dark.sharpness) / measured(shown.sharpness) - 1) < 0.1
+    assert measured(blurred.sharpness) < 0.5 * measured(shown.sharpness)
+    assert abs(measured(blurred.brightness) / measured(shown.brightness) - 1) < 0.01
 
 
 def test_masked_pixels_do_not_count_as_saturated() -> None:
@@ -307,11 +308,11 @@ def test_masked_pixels_do_not_count_as_saturated() -> None:
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[:, : WIDTH // 2] = 0
     plain, masked = (clean_frame([capture(image)], Lens(), m) for m in (None, capture(mask, "mask.png")))
-    assert plain.saturated > 0.49
-    assert masked.saturated < 0.1
+    assert measured(plain.saturated) > 0.49
+    assert measured(masked.saturated) < 0.1
 
 
 def test_black_pixels_do_not_count_as_saturated() -> None:
     image = scene()
     image[:, : WIDTH // 2] = 0
-    assert clean_frame([capture(image)], Lens(), None).saturated < 0.1
+    assert measured(clean_frame([capture(image)], Lens(), None).saturated) < 0.1

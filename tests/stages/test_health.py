@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.dots import frame_of, texture
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.health import examine
-from wbflow_stages.types import Frame, Usual
+from wbflow_stages.types import Frame, ShiftHistory
 
 W, H, F = 480, 320, 500.0
 K = np.array([[F, 0, (W - 1) / 2], [0, F, (H - 1) / 2], [0, 0, 1]])
@@ -94,12 +94,12 @@ def test_a_changed_zoom_is_a_move() -> None:
 
 
 def test_usual_swaying_of_a_camera_is_not_reported_as_a_shift() -> None:
-    swaying = Usual(np.array([-1.5, 2.0, 0.3, 1.8, -2.1, 0.9]), np.zeros(6), np.zeros(6))
+    swaying = ShiftHistory(np.array([-1.5, 2.0, 0.3, 1.8, -2.1, 0.9]), np.zeros(6), np.zeros(6))
     tonight = seen(0.25)
     assert examine(tonight, REFERENCE).state == "shifted"
-    assert examine(tonight, REFERENCE, usual=swaying).state == "ok"
-    still = Usual(np.full(6, 0.1), np.zeros(6), np.zeros(6))
-    assert examine(tonight, REFERENCE, usual=still).state == "shifted"
+    assert examine(tonight, REFERENCE, history=swaying).state == "ok"
+    still = ShiftHistory(np.full(6, 0.1), np.zeros(6), np.zeros(6))
+    assert examine(tonight, REFERENCE, history=still).state == "shifted"
 
 
 @pytest.mark.parametrize("level", [2.0, 70.0])

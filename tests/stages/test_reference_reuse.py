@@ -24,7 +24,9 @@ def nudged(camera: Camera) -> CameraHealth:
 
 def reference(site: PairSite) -> Poses:
     cameras = site.cameras
-    return Poses(cameras, {}, {}, True, "calibration", components=(tuple(cameras),), sources=dict.fromkeys(cameras, "stated"))
+    return Poses(
+        cameras, metric=True, source="calibration", components=(tuple(cameras),), sources=dict.fromkeys(cameras, "stated")
+    )
 
 
 def tonight(site: PairSite, cameras: dict[str, Camera]) -> dict[tuple[str, str], Geometry]:

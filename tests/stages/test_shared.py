@@ -11,7 +11,7 @@ from wbflow_stages.types import Camera, PairCheck, Poses
 
 K = np.array([[400.0, 0, 319.5], [0, 400.0, 239.5], [0, 0, 1]])
 CAMERAS = {f"c{k}": Camera(K, np.eye(3), np.array([k, 0.0, 0.0]), 640, 480) for k in range(4)}
-PLACED = Poses(CAMERAS, {}, {}, metric=True, source="solved")
+PLACED = Poses(CAMERAS, metric=True, source="solved")
 
 
 def pairs(poses: Poses) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import IO, Any
 
 from ..errors import WbflowError
-from ..pipeline.stages import CLOUD_COLUMNS, CLOUD_FIGURES, FUSE, RESTORE_CLOUD
+from ..pipeline.stages import CLOUD_COLUMNS, FUSE, RESTORE_CLOUD
 from ..plugins import load
 from .checksum import content_digest
 from .ply import columns_of, ply_bytes
@@ -31,9 +31,8 @@ class ArtifactError(WbflowError, ValueError):
 def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
     """Return the bytes of a result, and the fields of its receipt that describe them."""
     data = result_bytes(result, stage)
-    cloud_figures = load(CLOUD_FIGURES)(result) if stage == FUSE else {}
     facts = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
-    return data, {**facts, "figures": figures(result) | cloud_figures}
+    return data, {**facts, "figures": figures(result)}
 
 
 def suffix_of(stage: str) -> str:
@@ -97,8 +96,11 @@ def parts(value: Any) -> dict[str, str]:
 
 
 def figures(value: Any) -> dict[str, Any]:
-    """Return the plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them.  An array
-    gives its number of rows as `<field>_count`.  Fields with `figure=False` in their metadata are left out."""
+    """Return the plain fields of a dataclass by name: scalars, tuples, small dataclasses, mappings and tuples of them.
+
+    An array gives its number of rows as `<field>_count`.  Fields with `figure=False` in their metadata are left out.  A result
+    may report further figures as a dataclass, by a property `figures`.
+    """
     reported = {field.name for field in dataclasses.fields(value) if field.metadata.get("figure", True)}
     values: dict[str, Any] = {}
     for name, field in _fields_of(value).items():
@@ -114,6 +116,9 @@ def figures(value: Any) -> dict[str, Any]:
             values[name] = figures(field)
         elif hasattr(field, "shape") and field.shape:
             values[f"{name}_count"] = int(field.shape[0])
+    reported_figures = getattr(value, "figures", None)
+    if dataclasses.is_dataclass(reported_figures):
+        values |= figures(reported_figures)
     return values
 
 
@@ -123,8 +128,10 @@ def _fields_of(value: Any) -> dict[str, Any]:
 
 
 def _is_small(value: Any) -> bool:
-    """Is it a dataclass whose fields are all scalars or strings?"""
-    return dataclasses.is_dataclass(value) and all(isinstance(field, _SCALARS) for field in _fields_of(value).values())
+    """Is it a dataclass whose fields are all scalars, strings or None?"""
+    if not dataclasses.is_dataclass(value):
+        return False
+    return all(field is None or isinstance(field, _SCALARS) for field in _fields_of(value).values())
 
 
 def _is_plain(value: Any) -> bool:

@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from wbflow_stages.contracts.ground_figures import CutFill
+
 from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.ply import ply_bytes
 from ..errors import UsageError, WbflowError
+from ..json_dataclass import read_json
 from ..pipeline.meanings import titled
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
-from ..pipeline.summaries import CutFill, Summary
 from ..plugins import load
 from ..records.finished_run import Run
 from ..records.record import CameraRecord, PairRecord, RunRecord
@@ -134,7 +136,7 @@ def _outcome(record: CameraRecord | PairRecord | None) -> str:
     return "ok" if record.ok else f"{record.outcome}: {record.reason}"
 
 
-def _common_figures(a: Summary, b: Summary) -> dict[str, tuple[Value, Value]]:
+def _common_figures(a: object, b: object) -> dict[str, tuple[Value, Value]]:
     """Return the numbers and texts that both summaries have, by name."""
     both = {name: (value, getattr(b, name, None)) for name, value in vars(a).items()}
     return {
@@ -206,7 +208,7 @@ def lines_of(data: Mapping[str, Any]) -> Iterator[str]:
     """Yield the volumes and changes of changes.json as lines of text."""
     unit = "m" if data["unit"] == "m" else "units"
     parts = {"": data.get("cut_fill"), **data["zones"]}
-    for zone, part in ((zone, CutFill.from_json(part)) for zone, part in parts.items() if part):
+    for zone, part in ((zone, read_json(CutFill, part)) for zone, part in parts.items() if part):
         volumes = f"gained {part.gained:.2f} ± {part.gained_sigma:.2f}, lost {part.lost:.2f} ± {part.lost_sigma:.2f} {unit}³"
         ground = f"{part.area:,.0f} {unit}² seen on both, {part.unseen:,.0f} not; level of detection {part.level:.3f} {unit}"
         yield f"{zone or 'whole site'}: {volumes}; {ground}"

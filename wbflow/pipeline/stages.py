@@ -11,7 +11,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from . import summaries
+from wbflow_stages.contracts.camera_figures import DepthFigures, ExaminedHealth, FeaturesFigures, FrameFigures
+from wbflow_stages.contracts.ground_figures import CloudFigures
+from wbflow_stages.contracts.pair_figures import DisparityFigures, GeometryFigures, MatchesFigures, PairsFigures, RectifyFigures
+from wbflow_stages.contracts.pose_figures import CalibrationCheck
+
+from .summaries import ChangesSummary, CoverageSummary, PosesSummary
 
 FRAMES, HEALTH, FEATURES, PAIRS, MATCHES, GEOMETRY = "frames", "health", "features", "pairs", "matches", "geometry"
 POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
@@ -152,8 +157,9 @@ class Stage:
     """Keys of the site file outside of `stages` that set parameters of the stage: "resolution", "pairs.degree"."""
     reuse: Reuse = Reuse()
     products: Products = Products()
-    summary: type[summaries.Summary] | None = None
-    """The part of its results that the engine reads and run.json contains."""
+    summary: type[Any] | None = None
+    """The part of its results that the engine reads and run.json contains: figures of the contracts, or these with what the
+    engine adds."""
 
     @property
     def sources(self) -> dict[str, Source]:
@@ -171,8 +177,7 @@ class Stage:
 
 CLOUD_COLUMNS = "wbflow_stages.io.clouds:cloud_columns"
 RESTORE_CLOUD = "wbflow_stages.io.clouds:cloud_of"
-CLOUD_FIGURES = "wbflow_stages.io.clouds:cloud_figures"
-"""Dotted functions for clouds, which are stored as PLY files: cloud to columns by name, columns to cloud, and further figures."""
+"""Dotted functions for clouds, which are stored as PLY files: cloud to columns by name, and columns to cloud."""
 COMPONENT = "component"
 """The parameter of `fuse` with the number of the component of cameras; each component has a task."""
 
@@ -233,7 +238,7 @@ STAGES: tuple[Stage, ...] = (
         products=Products(
             {"picture": "wbflow_stages.exports.previews:frame_preview", "large": "wbflow_stages.exports.previews:frame_large"}
         ),
-        summary=summaries.FrameSummary,
+        summary=FrameFigures,
     ),
     Stage(
         "health",
@@ -243,13 +248,13 @@ STAGES: tuple[Stage, ...] = (
             "frame": own("frames"),
             "pinned_frame": reference("frames"),
             "pinned_camera": reference("poses", part="cameras"),
-            "usual": Source("history", "shifts"),
+            "history": Source("history", "shifts"),
         },
         offers={"pinned_features": reference("features")},
         optional=True,
         site_keys=("health.nudged_px", "health.moved_deg", "health.flat", "health.dark"),
         reuse=Reuse(stored=False),
-        summary=summaries.HealthSummary,
+        summary=ExaminedHealth,
     ),
     Stage(
         "features",
@@ -258,7 +263,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"frame": own("frames")},
         reuse=Reuse(shifted="reuse", moved="recompute"),
         products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
-        summary=summaries.FeaturesSummary,
+        summary=FeaturesFigures,
     ),
     Stage(
         "overlap",
@@ -279,7 +284,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"overlap": own("overlap")},
         site_keys=_PAIR_KEYS,
         reuse=_ALWAYS_REUSED,
-        summary=summaries.PairsSummary,
+        summary=PairsFigures,
     ),
     Stage(
         "matches",
@@ -294,7 +299,7 @@ STAGES: tuple[Stage, ...] = (
             aggregate="wbflow_stages.other_nights:pool_matches",
             too_little=("too-few-matches", "too-few-inliers", "clustered"),
         ),
-        summary=summaries.MatchesSummary,
+        summary=MatchesFigures,
     ),
     Stage(
         "geometry",
@@ -307,7 +312,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:matches_preview", "marks": "wbflow_stages.exports.previews:inlier_marks"},
             picture_inputs=_SIDE_FRAMES,
         ),
-        summary=summaries.GeometrySummary,
+        summary=GeometryFigures,
     ),
     Stage(
         "poses",
@@ -324,7 +329,7 @@ STAGES: tuple[Stage, ...] = (
         optional=True,
         reuse=Reuse(shifted=_HELD_POSES, moved=_HELD_POSES),
         products=Products({"cameras": "wbflow_stages.io.cameras:calibration_file"}),
-        summary=summaries.PosesSummary,
+        summary=PosesSummary,
     ),
     Stage(
         "scene",
@@ -351,7 +356,7 @@ STAGES: tuple[Stage, ...] = (
         optional=_some_unposed,
         site_keys=_PAIR_KEYS,
         reuse=_ALWAYS_REUSED,
-        summary=summaries.PairsSummary,
+        summary=PairsFigures,
     ),
     Stage(
         "rectify",
@@ -369,7 +374,7 @@ STAGES: tuple[Stage, ...] = (
         offers=_PAIR_FEATURES,
         method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
         reuse=Reuse(shifted="recompute", moved="recompute"),
-        summary=summaries.RectifySummary,
+        summary=RectifyFigures,
     ),
     Stage(
         "disparity",
@@ -388,7 +393,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:disparity_preview"},
             picture_inputs={**_SIDE_FRAMES, "rectification": own("rectify")},
         ),
-        summary=summaries.DisparitySummary,
+        summary=DisparityFigures,
     ),
     Stage(
         "calibration",
@@ -397,7 +402,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={"poses": own("poses"), "disparities": every("disparity", optional=True)},
         optional=lambda site: site.has_given_poses,
         reuse=Reuse(stored=False),
-        summary=summaries.CalibrationCheck,
+        summary=CalibrationCheck,
     ),
     Stage(
         "depth",
@@ -411,7 +416,7 @@ STAGES: tuple[Stage, ...] = (
         },
         offers={"frame": own("frames"), "frames": around("frames")},
         reuse=Reuse(aggregate="wbflow_stages.other_nights:pool_depths"),
-        summary=summaries.DepthSummary,
+        summary=DepthFigures,
     ),
     Stage(
         "refine",
@@ -445,7 +450,7 @@ STAGES: tuple[Stage, ...] = (
             {"picture": "wbflow_stages.exports.previews:cloud_preview", "view": "wbflow_stages.exports.view:cloud_view"},
             picture_inputs={"cameras": own("poses", part="cameras")},
         ),
-        summary=summaries.FuseSummary,
+        summary=CloudFigures,
     ),
     Stage(
         "coverage",
@@ -460,7 +465,7 @@ STAGES: tuple[Stage, ...] = (
             files="wbflow_stages.exports.ground:coverage_files",
             title="What the cameras see of the ground",
         ),
-        summary=summaries.CoverageSummary,
+        summary=CoverageSummary,
     ),
     Stage(
         "changes",
@@ -475,7 +480,7 @@ STAGES: tuple[Stage, ...] = (
             files="wbflow_stages.exports.ground:changes_files",
             title="What has changed",
         ),
-        summary=summaries.ChangesSummary,
+        summary=ChangesSummary,
     ),
 )
 

@@ -17,10 +17,7 @@ Figures = Mapping[str, Any]
 """Reported figures of a camera, a pair, a night or the world by name: numbers, strings, and mappings of these."""
 
 Level = Literal["good", "degraded", "failed"]
-HealthState = Literal["ok", "shifted", "moved", "obscured", "stale", "wrong-scene"]
 
-STATE_ALIASES = {"nudged": "shifted", "blind": "obscured", "foreign": "wrong-scene"}
-"""Camera states as versions before 0.2 wrote them; they are still read for one more version."""
 FINDING_ALIASES = {
     "camera-nudged": "camera-shifted",
     "camera-blind": "camera-obscured",
@@ -328,24 +325,6 @@ class Verdict(JsonDataclass):
     @model_serializer(mode="wrap")
     def _without_empty(self, write: Any) -> dict[str, Any]:
         return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
-
-
-@dataclass(frozen=True)
-class Health(JsonDataclass):
-    """Condition of a camera, compared with earlier nights; fields with the same names as in `Finding` have the same meaning."""
-
-    state: Annotated[HealthState, _with_current_names(STATE_ALIASES)]
-    """shifted: turned slightly, still in use; moved; obscured: too dark, dirty or out of focus; stale: its pictures are not from
-    tonight; wrong-scene: it shows another place."""
-    text: str = ""
-    figures: Figures = field(default_factory=dict)
-    expected: Figures = field(default_factory=dict)
-    remedy: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Is the camera in its usual condition?"""
-        return self.state == "ok"
 
 
 @dataclass(frozen=True)

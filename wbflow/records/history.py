@@ -10,7 +10,7 @@ from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
-from ..pipeline.summaries import Change
+from ..pipeline.summaries import RecordedChange
 from .findings import Verdict
 from .ledger import Ledger, LedgerRun
 from .record import RunRecord
@@ -130,12 +130,12 @@ def growth(work: WorkFolder) -> list[GrowthRow]:
     return rows
 
 
-def _tracks(nights: Iterable[RunRecord]) -> list[list[tuple[RunRecord, Change]]]:
+def _tracks(nights: Iterable[RunRecord]) -> list[list[tuple[RunRecord, RecordedChange]]]:
     """Return every change on the nights on which it was seen; one that is hidden for a night stays the same change.
 
     Changes are followed through the nights with the same reference.
     """
-    tracks: list[list[tuple[RunRecord, Change]]] = []
+    tracks: list[list[tuple[RunRecord, RecordedChange]]] = []
     for night in nights:
         known = [track for track in tracks if track[0][0].reference == night.reference]
         for change in (change for result in night.results.values() for change in result.objects.values()):

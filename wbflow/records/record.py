@@ -10,11 +10,13 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, PlainSerializer
 
+from wbflow_stages.contracts.camera_figures import Health
+
 from ..json_dataclass import FlatJsonDataclass, JsonDataclass
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
 from ..task import camera_of
-from .findings import Down, Health, Usual, Verdict
+from .findings import Down, Usual, Verdict
 
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
@@ -212,6 +214,9 @@ class RunRecord(JsonDataclass):
 
     @classmethod
     def from_json(cls, data: Any) -> Self:
-        read = {s.name: s.summary.from_json(data[s.name]) for s in STAGES if s.summary and isinstance(data.get(s.name), Mapping)}
-        results = {stage: result for stage, result in read.items() if isinstance(result, SiteSummary)}
+        results = {}
+        for stage in STAGES:
+            entry = data.get(stage.name)
+            if stage.summary and issubclass(stage.summary, SiteSummary) and isinstance(entry, Mapping):
+                results[stage.name] = stage.summary.from_json(entry)
         return super().from_json({**data, "results": results})

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import islice
 from typing import Literal
 
+from wbflow_stages.contracts.camera_figures import ExaminedHealth, Health, ShiftHistory
+
 from ..cache.layout import WorkFolder
 from ..cache.store import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
-from ..pipeline.summaries import HealthSummary
-from ..records.findings import Health
 from ..records.reference import Reference
 from ..records.run_folder import last_of_nights, newest_runs
 from ..runner.night import Night
@@ -31,9 +31,9 @@ USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 FEWEST = 2
 """The reference is reused only if the poses of at least this many cameras are known from it."""
 
-SHIFTS_TYPE = "wbflow_stages.types:Usual"
+SHIFTS_TYPE = "wbflow_stages.types:ShiftHistory"
 """The type in which a stage gets the shifts of earlier nights; its fields are lists of one number per night, oldest first."""
-SHIFTS = ("shift_x_px", "shift_y_px", "roll_deg")
+SHIFTS = tuple(shift.name for shift in fields(ShiftHistory))
 """Fields of `SHIFTS_TYPE`; the figures of a camera's health have the same names."""
 MOST_NIGHTS = 14
 MOST_RUNS = 3 * MOST_NIGHTS
@@ -66,7 +66,7 @@ class Resolver:
     """States of the tasks that have ended; the plan's own dictionary, which changes."""
     reference: Reference | None = field(init=False)
     """The reference, without the artifacts that were lost during the run."""
-    _healths: dict[str, HealthSummary] = field(default_factory=dict, repr=False)
+    _healths: dict[str, ExaminedHealth] = field(default_factory=dict, repr=False)
     """Health by view, for the views that were examined tonight."""
     _own_frames: set[str] = field(default_factory=set, repr=False)
     """Views whose frame tonight is the reference's own (same cache key)."""
@@ -184,7 +184,7 @@ class Resolver:
         """Record the health of a camera, if the task that has ended determined it."""
         state = self.states[task]
         if task.stage == HEALTH and state.usable:
-            self._healths[task.subject[0]] = summary_of(state, HealthSummary)
+            self._healths[task.subject[0]] = summary_of(state, ExaminedHealth)
 
     def note_frame(self, subject: Subject, key: str) -> None:
         """Record whether a camera's frame tonight, by its cache key, is the reference's own."""

@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 from ..cache.layout import WorkFolder
 from ..cache.store import Cache, Receipt
 from ..pipeline.stages import CHANGES, FRAMES
-from ..pipeline.summaries import Change
+from ..pipeline.summaries import RecordedChange
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
 from ..records.reference import BadReference, Reference, read_reference
@@ -31,7 +31,7 @@ class Comparison:
     date: str
     known: Set[str]
     """Names of tonight's changes that were already there on the last good night."""
-    gone: Mapping[str, Change]
+    gone: Mapping[str, RecordedChange]
     """Changes of the last good night that are there no more."""
     new: int
     """Number of changes that were not there on the last good night, and that nobody has acknowledged."""
@@ -167,7 +167,7 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def changes_of(record: RunRecord) -> Mapping[str, Change]:
+def changes_of(record: RunRecord) -> Mapping[str, RecordedChange]:
     """Return the changes of a night since the reference, by name."""
     result = record.results.get(CHANGES)
     return result.objects if result else {}

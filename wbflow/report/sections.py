@@ -10,9 +10,10 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from ..cache.store import Preimage
+from ..json_dataclass import read_json
 from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import CHANGES, STAGES
-from ..pipeline.summaries import Change, ChangesSummary, PairFigures, SiteSummary
+from ..pipeline.summaries import ChangesSummary, PairFigures, RecordedChange, SiteSummary
 from ..records.findings import Finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..runner.state import Cause
@@ -267,7 +268,7 @@ def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
         if receipt := data.receipt(event.task):
             method = receipt.preimage.parameters.get(stage.method.parameter) if stage.method else None
             summary = stage.summary if receipt.outcome != "rejected" else None
-            figures = vars(summary.from_json(receipt.figures)) if summary else receipt.figures
+            figures = vars(read_json(summary, receipt.figures)) if summary else receipt.figures
             numbers = [(name, value) for name, value in figures.items() if is_number(value) and not math.isnan(value)]
             texts = [f"{meaning(name).title} {format_value(value)}" for name, value in numbers[:_MOST_FIGURES]]
         details = "; ".join(filter(None, (f"by {method}" if method else "", event.reason, ", ".join(texts))))
@@ -331,7 +332,7 @@ def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
         yield zone or "whole site", *volumes, quantity(part.area, None, "²"), quantity(part.unseen, None, "²")
 
 
-def _dimensions(change: Change, unit: str) -> str:
+def _dimensions(change: RecordedChange, unit: str) -> str:
     """Return the size, volume and place of an object, as far as they are known."""
     size = " × ".join(f"{side:.1f}" for side in (change.length, change.width, change.height) if side is not None)
     volume, sigma = change.volume, change.volume_sigma

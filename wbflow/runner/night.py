@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from wbflow_stages.contracts.camera_figures import Health
+
 from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..pipeline.stages import Stage
-from ..records.findings import Health
 from ..records.reference import Reference
 from ..site.captures import CaptureFile, changes_of, with_current_digest
 from ..site.models import Site

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, TypeVar
 
+from pydantic import ValidationError
+
 from ..cache.store import Receipt
-from ..pipeline.summaries import Summary
+from ..json_dataclass import read_json
 from ..task import Task
 
 Outcome = Literal["cached", "ran", "rejected", "failed", "skipped"]
@@ -67,12 +69,21 @@ class State:
         return self.outcome in {"cached", "ran"}
 
 
-_S = TypeVar("_S", bound=Summary)
+_S = TypeVar("_S")
 
 
 def summary_of(state: State | None, kind: type[_S]) -> _S:
-    """Return the summary of a task's result or rejection; an empty summary if there is neither."""
-    return kind.from_json(state.receipt.figures) if state and state.receipt else kind()
+    """Return the figures of a task's result or rejection; without any, if there is neither.
+
+    kind: a dataclass of which each field has a default.  It is empty, too, if the figures do not fit: those of another version,
+    or of a function of the site's own.
+    """
+    if state is None or state.receipt is None:
+        return kind()
+    try:
+        return read_json(kind, state.receipt.figures)
+    except ValidationError:
+        return kind()
 
 
 def cached_state(receipt: Receipt) -> State:

@@ -6,8 +6,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from wbflow_stages.contracts.pair_figures import PairsFigures
+
 from ..pipeline.stages import DENSE_PAIRS, FUSE, PAIRS, POSES, Source, Stage, stage_named
-from ..pipeline.summaries import PairsSummary, PosesSummary
+from ..pipeline.summaries import PosesSummary
 from ..site.models import Site
 from ..task import Task, component_name
 from .state import State, summary_of
@@ -108,7 +110,7 @@ class _PairGraph:
     def __init__(self, state: State) -> None:
         """state: of the task that chose the pairs."""
         self.state = state
-        self.pairs = list(summary_of(state, PairsSummary).pairs) if state.usable else []
+        self.pairs = list(summary_of(state, PairsFigures).pairs) if state.usable else []
         self.of: dict[str, list[tuple[str, str]]] = {}
         for pair in self.pairs:
             for camera in pair:

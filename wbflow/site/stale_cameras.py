@@ -10,10 +10,10 @@ import datetime
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from wbflow_stages.contracts.camera_figures import FrameFigures, Health
+
 from ..cache.checksum import content_digest
 from ..cache.memo import Digests, EarlierCaptures
-from ..pipeline.summaries import FrameSummary
-from ..records.findings import Health
 from .bursts import longest_gap
 from .captures import CaptureFile, captures_dated
 from .models import Camera, Site
@@ -181,7 +181,7 @@ def _median_hour(hours: list[float]) -> float:
     return min(hours, key=lambda hour: sum(abs(_hour_difference(hour, other)) for other in hours))
 
 
-def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
+def night_by_pictures(frames: Iterable[FrameFigures]) -> str:
     """The night (ISO 8601) of most cameras by the capture times in their files; "" without such times or a majority.
 
     Used if names contain no date: then old photographs are not stale, only those that differ from the majority.
@@ -193,7 +193,7 @@ def night_by_pictures(frames: Iterable[FrameSummary]) -> str:
     return str(median.date())
 
 
-def stale_by_image(frame: FrameSummary, night: str, in_order: bool) -> Health | None:
+def stale_by_image(frame: FrameFigures, night: str, in_order: bool) -> Health | None:
     """The finding for a camera whose images are frozen, or whose capture times are of another night or out of order.
 
     night: ISO 8601, "" if unknown.  in_order: do file names give the order in which captures were taken?
@@ -216,7 +216,7 @@ def stale_by_image(frame: FrameSummary, night: str, in_order: bool) -> Health | 
     return None
 
 
-def _capture_times(frame: FrameSummary) -> list[datetime.datetime]:
+def _capture_times(frame: FrameFigures) -> list[datetime.datetime]:
     """When the first and the last capture of a camera were taken; [] if unknown."""
     try:
         return [datetime.datetime.fromisoformat(text or "") for text in (frame.taken_first, frame.taken_last)]

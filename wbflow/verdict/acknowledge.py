@@ -1,7 +1,7 @@
 """Acknowledged findings and changes: they stay in the report, but neither degrade a night nor cause a notification.
 
 They are kept beside the site file, and enter the verdict of a night but no cache key.  A change gets another number each night,
-so an acknowledgement stores its kind and position, which are compared as in `Change.is_same`.
+so an acknowledgement stores its kind and position, which are compared as in `RecordedChange.is_same`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
 from ..json_dataclass import JsonDataclass
-from ..pipeline.summaries import Change, ChangesSummary
+from ..pipeline.summaries import ChangesSummary, RecordedChange
 from ..records.findings import FINDINGS, Finding
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
@@ -133,13 +133,13 @@ def _full_name(site: Site, finding: str) -> str:
     return next(earlier_names, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
 
 
-def _change_named(name: str) -> Change | None:
+def _change_named(name: str) -> RecordedChange | None:
     """Return kind and position of a change from its name; None for any other name."""
     parts = _NAME.fullmatch(name)
-    return Change(parts[1], float(parts[2]), float(parts[3]), float(parts[4])) if parts else None
+    return RecordedChange(parts[1], float(parts[2]), float(parts[3]), float(parts[4])) if parts else None
 
 
-def changes_of(record: RunRecord) -> Mapping[str, Change]:
+def changes_of(record: RunRecord) -> Mapping[str, RecordedChange]:
     """Return the changes of a night by number."""
     return next((result.objects for result in record.results.values() if isinstance(result, ChangesSummary)), {})
 

@@ -9,10 +9,11 @@ from dataclasses import asdict, fields, replace
 from itertools import islice
 from statistics import median
 
+from wbflow_stages.contracts.camera_figures import FrameFigures, Health
+
 from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
-from ..pipeline.summaries import FrameSummary
-from ..records.findings import Health, Usual
+from ..records.findings import Usual
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
 from ..runner.bindings import Bindings
@@ -77,7 +78,7 @@ def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     appearances: dict[str, dict[str, float]] = {}
     for camera in record.cameras:
         if camera.ok:
-            values = {field.name: getattr(camera.figures, field.name) for field in fields(FrameSummary)}
+            values = {field.name: getattr(camera.figures, field.name) for field in fields(FrameFigures)}
             values["misfit"] = camera.figures.misfit
             appearances[camera.id] = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
     matched: dict[str, list[bool]] = {}

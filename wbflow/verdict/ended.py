@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from wbflow_stages.contracts.camera_figures import Health
+
 from ..pipeline.stages import FRAMES
-from ..records.findings import Health
 from ..runner.night import Night
 from ..runner.state import State
 from ..task import Task

@@ -16,9 +16,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from statistics import median
 
+from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
+
 from ..errors import ExitCode
 from ..pipeline.stages import FUSE, STAGES
-from ..pipeline.summaries import CalibrationCheck, PoseIssue, PosesSummary, SiteSummary
+from ..pipeline.summaries import PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder

@@ -8,12 +8,17 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from wbflow_stages.contracts.camera_figures import DepthFigures, Notes
+from wbflow_stages.contracts.ground_figures import CloudFigures
+from wbflow_stages.contracts.pair_figures import PairsFigures
+from wbflow_stages.contracts.pose_figures import CalibrationCheck
+
 from .. import __version__
 from ..cache.layout import cloud_name
 from ..cache.versions import installed_versions
 from ..errors import ExitCode
-from ..pipeline import summaries
 from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
+from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.state import Cause, summary_of
 from ..site.models import Site
@@ -84,7 +89,7 @@ def run_record(
 class _SiteWide:
     """What site-wide results contain about single cameras and pairs."""
 
-    poses: summaries.PosesSummary
+    poses: PosesSummary
     points: Mapping[str, int]
     misfits: Mapping[str, float]
     """By camera: the number of its points in its cloud, and the ratio of their error to the expected one."""
@@ -95,11 +100,11 @@ class _SiteWide:
 
     @staticmethod
     def from_plan(ended: EndedNight) -> _SiteWide:
-        clouds = [summary_of(state, summaries.FuseSummary) for task, state in ended.states.items() if task.stage == FUSE]
-        pairs, dense = (summary_of(ended.states.get(Task(stage)), summaries.PairsSummary) for stage in (PAIRS, DENSE_PAIRS))
-        poses = summary_of(ended.states.get(Task(POSES)), summaries.PosesSummary)
+        clouds = [summary_of(state, CloudFigures) for task, state in ended.states.items() if task.stage == FUSE]
+        pairs, dense = (summary_of(ended.states.get(Task(stage)), PairsFigures) for stage in (PAIRS, DENSE_PAIRS))
+        poses = summary_of(ended.states.get(Task(POSES)), PosesSummary)
         if (row_check := ended.states.get(Task(CALIBRATION))) and row_check.usable:
-            poses = replace(poses, rows=summary_of(row_check, summaries.CalibrationCheck))
+            poses = replace(poses, rows=summary_of(row_check, CalibrationCheck))
         return _SiteWide(
             poses,
             points={camera: points for cloud in clouds for camera, points in cloud.sample_counts.items()},
@@ -114,19 +119,19 @@ def _camera_record(ended: EndedNight, camera: str, site_wide: _SiteWide) -> Came
     record = CameraRecord(camera, "ok", captures=captures, health=ended.health_of(camera))
     figures: dict[str, Any] = {}
     notes: list[str] = []
-    for stage, kind in _stages_in(summaries.CameraFigures):
+    for stage, kind in _stages_in(CameraFigures):
         state = ended.states.get(Task(stage.name, (camera,)))
         if state and not state.usable:
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
             break
-        notes += summary_of(state, summaries.Notes).notes
+        notes += summary_of(state, Notes).notes
         figures |= _not_none(summary_of(state, kind))
     else:
         poses = site_wide.poses
         pose_check, moved = poses.pose_checks.get(camera), poses.issues_of("moved").get(camera)
-        depth = summary_of(ended.states.get(Task(DEPTH, (camera,))), summaries.DepthSummary)
+        depth = summary_of(ended.states.get(Task(DEPTH, (camera,))), DepthFigures)
         figures["pose"] = pose_check
-        figures["verified"] = pose_check.get("verified") if pose_check else None
+        figures["verified"] = pose_check.verified if pose_check else None
         figures["pose_from"] = poses.sources.get(camera)
         figures["points"] = site_wide.points.get(camera)
         figures["misfit"] = site_wide.misfits.get(camera)
@@ -135,7 +140,7 @@ def _camera_record(ended: EndedNight, camera: str, site_wide: _SiteWide) -> Came
         notes += [moved.text] if moved else []
         if camera in poses.unsolved:
             record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
-    return replace(record, notes=tuple(notes), figures=summaries.CameraFigures(**figures))
+    return replace(record, notes=tuple(notes), figures=CameraFigures(**figures))
 
 
 def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraRecord:
@@ -149,7 +154,7 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
     figures: dict[str, Any] = {}
     success: dict[str, Any] = {"outcome": "ok"}
     outcome = success
-    for stage, kind in _stages_in(summaries.PairFigures):
+    for stage, kind in _stages_in(PairFigures):
         state = ended.states.get(Task(stage.name, pair))
         if state is None:
             continue
@@ -162,15 +167,15 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
     if check := site_wide.poses.pair_checks.get("--".join(pair)):
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
     matched, dense = geometry.usable if geometry else None, pair in site_wide.dense if site_wide.dense else None
-    return PairRecord(*pair, **outcome, matched=matched, dense=dense, figures=summaries.PairFigures(**figures))
+    return PairRecord(*pair, **outcome, matched=matched, dense=dense, figures=PairFigures(**figures))
 
 
-def _stages_in(figures: type[summaries.Summary]) -> list[tuple[Stage, type[summaries.Summary]]]:
+def _stages_in(figures: type[CameraFigures | PairFigures]) -> list[tuple[Stage, type[Any]]]:
     """Return the stages whose summaries are part of the figures of a camera or pair, in the order of the pipeline."""
     return [(stage, stage.summary) for stage in STAGES if stage.summary and issubclass(figures, stage.summary)]
 
 
-def _not_none(summary: summaries.Summary) -> dict[str, Any]:
+def _not_none(summary: object) -> dict[str, Any]:
     return {name: value for name, value in vars(summary).items() if value is not None}
 
 
@@ -182,7 +187,7 @@ def _pairs(ended: EndedNight) -> list[tuple[str, str]]:
 
 
 def _usable_pairs(ended: EndedNight, stage: str) -> list[tuple[str, str]]:
-    return list(summary_of(ended.states[Task(stage)], summaries.PairsSummary).pairs) if ended.is_usable(stage) else []
+    return list(summary_of(ended.states[Task(stage)], PairsFigures).pairs) if ended.is_usable(stage) else []
 
 
 def _is_usable(ended: EndedNight, stage: str) -> bool:
@@ -195,14 +200,14 @@ def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
     clouds = {}
     for task, state in ended.states.items():
         if task.stage == FUSE and state.usable:
-            cloud = summary_of(state, summaries.FuseSummary)
+            cloud = summary_of(state, CloudFigures)
             clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.correct_share)
     return clouds
 
 
-def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, summaries.SiteSummary]]:
+def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
     for stage in ended.night.stages:
-        if stage.summary and issubclass(stage.summary, summaries.SiteSummary):
+        if stage.summary and issubclass(stage.summary, SiteSummary):
             state = ended.states.get(Task(stage.name))
             summary = summary_of(state, stage.summary) if state and state.usable else stage.summary()
             reason = state.reason if state and not state.usable else None
@@ -220,7 +225,7 @@ def _joined_views(views: Sequence[CameraRecord]) -> CameraRecord:
     joined = {
         name: _joined_figure([getattr(view.figures, name) for view in used], name in _SUMMED) for name in vars(used[0].figures)
     }
-    figures = summaries.CameraFigures(**joined)
+    figures = CameraFigures(**joined)
     return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
 
 
@@ -243,7 +248,7 @@ def _camera_names(site: Site) -> dict[str, str]:
     return {view.id: view.camera for view in site.views}
 
 
-def _by_camera(poses: summaries.PosesSummary, camera_names: Mapping[str, str]) -> summaries.PosesSummary:
+def _by_camera(poses: PosesSummary, camera_names: Mapping[str, str]) -> PosesSummary:
     """Return the summary with camera ids instead of the ids of views."""
     issues = {(issue.kind, camera_names.get(issue.camera, issue.camera)): issue for issue in reversed(poses.issues)}
     named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]

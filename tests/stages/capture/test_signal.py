@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.helpers.measured import measured
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.types import Capture, Frame, Lens, Uint8s
 
@@ -38,7 +39,12 @@ def mean_difference(frame: Frame, picture: Uint8s) -> float:
 def test_an_undamaged_picture_has_no_notes_of_damage(scene: Uint8s) -> None:
     frame = frame_of(scene)
     assert not frame.notes
-    assert frame.combing < 0.02 and frame.blocking < 1.2 and frame.cast < 1.2 and frame.colour > 0.1
+    assert (
+        measured(frame.combing) < 0.02
+        and measured(frame.blocking) < 1.2
+        and measured(frame.cast) < 1.2
+        and measured(frame.colour) > 0.1
+    )
 
 
 @pytest.mark.parametrize("shift", [-3, 1, 2])
@@ -56,7 +62,7 @@ def test_only_one_moment_of_an_interlaced_picture_is_used(scene: Uint8s) -> None
     combed = scene.copy()
     combed[1::2] = later[1::2]
     frame = frame_of(combed)
-    assert frame.combing > 0.1 and any("another moment (interlaced)" in note for note in frame.notes)
+    assert measured(frame.combing) > 0.1 and any("another moment (interlaced)" in note for note in frame.notes)
     assert mean_difference(frame, scene) < 0.6 * mean_difference(frame, later)
 
 

@@ -92,7 +92,7 @@ def test_the_published_camera_equals_the_stated_one() -> None:
     assert frame.view.K is not None
     R = cv2.Rodrigues(np.array([0.2, -0.4, 0.1]))[0]
     camera = camera_of(frame.view, frame.view.K, np.asarray(R, dtype=np.float64), np.array([1.0, 2.0, 3.0]))
-    entry = calibration(Poses({"gate": camera}, {}, {}, True, "calibration"))["gate"]
+    entry = calibration(Poses({"gate": camera}, metric=True, source="calibration"))["gate"]
     assert entry["model"] == "fisheye" and entry["distortion"] == FISHEYE.distortion.tolist()
     assert np.allclose(entry["K"], K) and np.allclose(entry["R"], R) and (entry["width"], entry["height"]) == (WIDTH, HEIGHT)
     X = DIRECTIONS @ R + camera.C  # control points marked in the capture are moved to their pixels of the frame

@@ -45,7 +45,7 @@ def cloud(box: float = 2.0, keep: float = 1.0) -> Cloud:
 
 
 def poses(metric: bool, crs: str = "") -> Poses:
-    return Poses({}, {}, {}, metric, "calibration", crs=crs)
+    return Poses({}, metric=metric, source="calibration", crs=crs)
 
 
 def test_a_scan_is_registered_to_the_cloud_and_a_changed_box_does_not_bias_it() -> None:

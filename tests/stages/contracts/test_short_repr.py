@@ -24,7 +24,7 @@ def test_repr_omits_defaults_and_internal_fields() -> None:
 
 def test_repr_of_long_mappings_and_large_arrays_is_short() -> None:
     cameras = {f"c{k}": Camera(np.eye(3), np.eye(3), np.zeros(3), 640, 480) for k in range(300)}
-    shown = repr(Poses(cameras, {}, {}, True, "solved"))
+    shown = repr(Poses(cameras, metric=True, source="solved"))
     assert "... 294 more" in shown and len(shown) < 1500
     n = 10_000
     none, descriptors = np.zeros(n, np.float32), np.zeros((n, 128), np.float32)

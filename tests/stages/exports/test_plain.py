@@ -46,7 +46,7 @@ def test_arrays_are_written_in_the_expected_format_and_read_back_bit_for_bit(arr
 def test_a_frame_is_written_as_an_ordinary_colour_image(tmp_path: Path) -> None:
     red = np.zeros((30, 40, 3), np.uint8)
     red[..., 0] = 255
-    frame = round_trip(Frame(red, np.ones((30, 40), bool), View(40, 30, np.eye(3)), ("a note",)), tmp_path)
+    frame = round_trip(Frame(red, np.ones((30, 40), bool), View(40, 30, np.eye(3)), notes=("a note",)), tmp_path)
     assert read_image(tmp_path / "value.image.png")[0, 0].tolist() == [0, 0, 255], "OpenCV says blue first"
     assert (frame.image == red).all()
     assert frame.notes == ("a note",)

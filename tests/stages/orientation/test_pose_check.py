@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.exact_pairs import PairSite, aligned_errors, make_pair_site, only, turned_wrong, with_look_alikes
+from tests.helpers.measured import measured
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.orientation.pose_check import PAIR_PX, Evidence, epipolar_error_px, verified
 from wbflow_stages.poses import solve_poses, stated_cameras
@@ -40,8 +41,10 @@ def test_right_poses_are_kept_and_their_checks_reported() -> None:
     assert set(poses.pose_checks) == set(site.cameras)
     for name, check in poses.pose_checks.items():
         assert check.pairs == sum(name in pair for pair in site.geometries) and check.inliers > 100
-        assert 0.05 < check.epipolar_px < 0.5 and not check.moved
-    assert all(check.adjusted_px < 0.5 and check.rotation_off_deg < 0.5 for check in poses.pair_checks.values())
+        assert 0.05 < measured(check.epipolar_px) < 0.5 and not check.moved
+    assert all(
+        measured(check.adjusted_px) < 0.5 and measured(check.rotation_off_deg) < 0.5 for check in poses.pair_checks.values()
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,7 +145,7 @@ def test_poses_with_standard_deviations_are_refined_to_nearly_exact_ones(count: 
     stated = stated_cameras(site.views, known)
     before, after = (aligned_errors(replace(poses, cameras=c), site.cameras) for c in (stated, poses.cameras))
     assert after[0] < before[0] / 8 and after[1] < before[1] / 8
-    assert all(check.kept and check.adjusted_px < 0.5 for check in poses.pair_checks.values())
+    assert all(check.kept and measured(check.adjusted_px) < 0.5 for check in poses.pair_checks.values())
     for name, camera in poses.cameras.items():
         assert np.linalg.norm(camera.C - stated[name].C) < 3 * 0.05 * np.sqrt(3)
 
@@ -153,7 +156,7 @@ def test_rough_poses_that_a_single_pair_cannot_improve_are_uncertain() -> None:
     known = rough_placements(three, 0, 0.05, 0.3)
     alone = solve(two, {name: known[name] for name in two.views})
     uncertain = alone.issues_of("uncertain")
-    assert set(uncertain) == {"c0", "c1"} and all(1 < issue.row_px < 8 for issue in uncertain.values())
+    assert set(uncertain) == {"c0", "c1"} and all(1 < measured(issue.row_px) < 8 for issue in uncertain.values())
     assert not solve(three, known).issues_of("uncertain")
     exact = solve(two, {name: placement for name, placement in placements(three).items() if name in two.views})
     assert not exact.issues_of("uncertain")

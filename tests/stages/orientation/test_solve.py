@@ -19,6 +19,7 @@ from tests.helpers.exact_pairs import (
     sightings,
     turned_wrong,
 )
+from tests.helpers.measured import measured
 from wbflow_stages.core.cameras import project
 from wbflow_stages.core.rotations import rotation_matrix
 from wbflow_stages.orientation.solve import undistorted_error_px, without_unsupported
@@ -308,13 +309,13 @@ def test_solving_the_same_input_twice_gives_the_same_bytes() -> None:
 
 def test_pairs_that_fit_worse_after_the_adjustment_show_it() -> None:
     site = make_pair_site(5, noise_px=0.2)
-    assert all(check.adjusted_px < 1.25 * check.estimated_px for check in solve(site).pair_checks.values())
+    assert all(measured(check.adjusted_px) < 1.25 * measured(check.estimated_px) for check in solve(site).pair_checks.values())
     # a known pose that is off by too little to be doubted, but stated as nearly exact, is kept, and its pairs fit worse
     known = {name: true_placement(site, name) for name in ("c0", "c2")}
     R = rotation_matrix(np.radians([0.06, 0.0, 0.0])) @ site.cameras["c1"].R
     turned = Placement(R, site.cameras["c1"].C, sigma_m=1e-4, sigma_deg=1e-4)
     check = solve(only(site, "c0", "c1", "c2", "c3"), known | {"c1": turned}).pair_checks["c0--c1"]
-    assert check.adjusted_px > 2 * check.estimated_px
+    assert measured(check.adjusted_px) > 2 * measured(check.estimated_px)
 
 
 def on_one_mast(site: PairSite) -> PairSite:

@@ -32,7 +32,7 @@ def test_a_decoded_artifact_equals_what_was_encoded(image: np.ndarray, mask: np.
 
 def poses(x: float) -> Poses:
     cameras = {"a": Camera(np.eye(3), np.eye(3), np.zeros(3), 4, 3), "b": Camera(np.eye(3), np.eye(3), np.array([x, 0, 0]), 4, 3)}
-    return Poses(cameras, {}, {}, metric=True, source="calibration")
+    return Poses(cameras, metric=True, source="calibration")
 
 
 def test_digests_of_parts_of_a_mapping_change_only_with_their_entries() -> None:

@@ -10,8 +10,9 @@ import pytest
 
 from wbflow.errors import ExitCode
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
-from wbflow.records.findings import Down, Finding, Health, Usual, Verdict
+from wbflow.records.findings import Down, Finding, Usual, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, StageSeconds, TaskCounts
+from wbflow_stages.contracts.camera_figures import Health
 
 
 def some_record() -> RunRecord:

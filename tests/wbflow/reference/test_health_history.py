@@ -11,10 +11,10 @@ import pytest
 from tests.wbflow.records.test_record import some_record
 from wbflow.cache.layout import RunPaths, WorkFolder
 from wbflow.records import run_folder
-from wbflow.records.findings import Health
 from wbflow.records.record import CameraRecord, RunRecord
 from wbflow.records.run_folder import RunFolder, UnfinishedRun
 from wbflow.reference.resolve import MOST_NIGHTS, shift_history
+from wbflow_stages.contracts.camera_figures import Health
 
 REFERENCE = "20260101T031500Z"
 FIRST = datetime.date(2026, 1, 2)

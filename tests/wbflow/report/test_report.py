@@ -16,7 +16,7 @@ import pytest
 
 from tests.helpers import made_up_run
 from tests.helpers.browser import chromium, until
-from wbflow.pipeline.summaries import Change, ChangesSummary
+from wbflow.pipeline.summaries import ChangesSummary, RecordedChange
 from wbflow.records.findings import Finding, Verdict
 from wbflow.records.record import RunRecord
 from wbflow.runner.state import Cause
@@ -287,12 +287,12 @@ def test_common_findings_are_merged_and_empty_comparisons_show_no_figures(tmp_pa
 def test_the_page_of_a_good_night_begins_with_its_changes_by_kind(tmp_path: Path) -> None:
     night = made_up_run.record(made_up_run.names(3), verdict=Verdict("good"), exit_code=0)
     kinds = enumerate(("new", "new", "vanished"), 1)
-    things = {str(k): Change(kind, 1.0, 2.0, 0.0, length=2.0) for k, kind in kinds}
+    things = {str(k): RecordedChange(kind, 1.0, 2.0, 0.0, length=2.0, width=1.5, height=0.5) for k, kind in kinds}
     night = replace(night, results={"changes": ChangesSummary(compared=True, count=3, changes=things)})
     page = made_up_run.page(tmp_path, night, nights=0).read_text()
     assert "3 changes since the reference (2 new, 1 vanished)." in page
     assert "There is nothing to do." not in page
     first, _, rest = page.partition('class="stage"')
     assert re.findall(r'data-mark="(\d)">\d: (\w+)', first) == [("1", "new"), ("2", "new"), ("3", "vanished")]
-    assert "2.0 m; at 1.0, 2.0, 0.0" in first, "what changed stands on the first screen, and leads to its place"
+    assert "2.0 × 1.5 × 0.5 m; at 1.0, 2.0, 0.0" in first, "what changed stands on the first screen, and leads to its place"
     assert rest.count('class="card thing"') == 3

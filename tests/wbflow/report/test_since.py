@@ -10,17 +10,17 @@ from typing import Any, cast
 import pytest
 
 from tests.wbflow.verdict.test_rules import night
-from wbflow.pipeline.summaries import Change, ChangesSummary
+from wbflow.pipeline.summaries import ChangesSummary, RecordedChange
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
 from wbflow.report.data import Comparison, ReportData
 
-CONTAINER = Change("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
-VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
-STACK = Change("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
+CONTAINER = RecordedChange("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
+VAN = RecordedChange("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
+STACK = RecordedChange("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
 
 
-def with_changes(record: RunRecord, things: dict[str, Change], reference: str = "20261101T031500Z") -> RunRecord:
+def with_changes(record: RunRecord, things: dict[str, RecordedChange], reference: str = "20261101T031500Z") -> RunRecord:
     return replace(record, reference=reference, results={"changes": ChangesSummary(compared=True, changes=things)})
 
 

@@ -16,7 +16,6 @@ from tests.wbflow.verdict.test_rules import NAMES, PAIRS, camera, lost, night, p
 from wbflow.cache.checksum import read_checksummed, write_checksummed
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
-from wbflow.records.findings import Health
 from wbflow.records.finished_run import Run
 from wbflow.records.metrics import metrics
 from wbflow.records.record import RunRecord, moment, stamp
@@ -25,6 +24,7 @@ from wbflow.runner.notify import MOST_WORDS, NotifyFailed, notify, summary
 from wbflow.site.load import load_site
 from wbflow.site.models import Notify
 from wbflow.site.yaml_document import SiteError
+from wbflow_stages.contracts.camera_figures import Health
 
 LISTENER = """\
 import json, os, sys

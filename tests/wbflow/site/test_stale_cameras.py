@@ -9,11 +9,12 @@ import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cache.memo import Digests, EarlierCaptures
-from wbflow.pipeline.summaries import FrameSummary
+from wbflow.json_dataclass import read_json
 from wbflow.site.captures import find_captures
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
 from wbflow.site.stale_cameras import FreshCaptures, find_stale, night_by_pictures, stale_by_image
+from wbflow_stages.contracts.camera_figures import FrameFigures
 
 NIGHT = datetime.date(2026, 11, 19)
 DAY = datetime.timedelta(days=1)
@@ -117,13 +118,13 @@ def test_unchanged_undated_captures_are_stale_only_if_others_are_new(tmp_path: P
     ],
 )
 def test_unchanged_or_wrongly_dated_pictures_are_stale(figures: dict[str, object], words: str | None) -> None:
-    health = stale_by_image(FrameSummary.from_json(figures), "2026-11-19", in_order=True)
+    health = stale_by_image(read_json(FrameFigures, figures), "2026-11-19", in_order=True)
     assert (health is None) == (words is None)
     assert health is None or (health.state == "stale" and words is not None and words in health.text)
 
 
-def photographed(*moments: str) -> list[FrameSummary]:
-    return [FrameSummary(taken_first=moment, taken_last=moment) for moment in moments]
+def photographed(*moments: str) -> list[FrameFigures]:
+    return [FrameFigures(taken_first=moment, taken_last=moment) for moment in moments]
 
 
 def test_undated_photographs_are_of_the_night_on_which_most_were_taken() -> None:
@@ -133,7 +134,7 @@ def test_undated_photographs_are_of_the_night_on_which_most_were_taken() -> None
     assert [stale_by_image(figures, "2010-10-12", in_order=False) is None for figures in one_day] == [True, True, True, False]
     assert night_by_pictures(week) == "", "taken over a week: none of them is wrong"
     assert all(stale_by_image(figures, "", in_order=False) is None for figures in week)
-    assert night_by_pictures([FrameSummary(), FrameSummary(taken_first="")]) == ""
+    assert night_by_pictures([FrameFigures(), FrameFigures(taken_first="")]) == ""
 
 
 def test_missed_nights_run_in_order_and_the_worst_decides_the_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,17 +12,18 @@ from click.testing import CliRunner
 from tests.wbflow.verdict.test_rules import night
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.pipeline.summaries import Change, ChangesSummary, CutFill, PosesSummary
+from wbflow.pipeline.summaries import ChangesSummary, PosesSummary, RecordedChange
 from wbflow.records.metrics import metrics
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
+from wbflow_stages.contracts.ground_figures import CutFill
 
 
-def pile(volume: float, x: float = 4.0) -> Change:
-    return Change("new", x, 2.0, 0.5, length=3.0, volume=volume, volume_sigma=0.2, area=volume, zone="quay")
+def pile(volume: float, x: float = 4.0) -> RecordedChange:
+    return RecordedChange("new", x, 2.0, 0.5, length=3.0, volume=volume, volume_sigma=0.2, area=volume, zone="quay")
 
 
-def of_night(date: str, *piles: Change, compared: bool = True) -> RunRecord:
+def of_night(date: str, *piles: RecordedChange, compared: bool = True) -> RunRecord:
     gained = sum(each.volume or 0.0 for each in piles)
     site = CutFill(gained=gained, gained_sigma=0.3, area=500.0, unseen=20.0)
     things = {str(k): each for k, each in enumerate(piles, 1)}

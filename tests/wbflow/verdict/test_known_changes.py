@@ -15,7 +15,7 @@ from tests.wbflow.verdict.test_rules import night
 from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.pipeline.summaries import Change, ChangesSummary
+from wbflow.pipeline.summaries import ChangesSummary, RecordedChange
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
@@ -23,14 +23,14 @@ from wbflow.runner import publish
 from wbflow.verdict import acknowledge, rules
 from wbflow.verdict.acknowledge import Acknowledgement, changes_of, with_known
 
-CONTAINER = Change("new", 9.24, 15.31, 1.3, length=6.3, width=2.7, volume=39.2)
-VAN = Change("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
-STACK = Change("vanished", 9.2, 15.3, 1.3, length=1.8, width=0.7, volume=3.8)
+CONTAINER = RecordedChange("new", 9.24, 15.31, 1.3, length=6.3, width=2.7, volume=39.2)
+VAN = RecordedChange("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
+STACK = RecordedChange("vanished", 9.2, 15.3, 1.3, length=1.8, width=0.7, volume=3.8)
 
 CONTAINERS_NAME = "change new at 9.2,15.3,1.3"
 
 
-def of_night(date: str, *changes: Change) -> RunRecord:
+def of_night(date: str, *changes: RecordedChange) -> RunRecord:
     things = {str(k): change for k, change in enumerate(changes, 1)}
     results = {"changes": ChangesSummary(compared=True, count=len(things), changes=things)}
     return replace(night(date), reference="20261101T031500Z", results=results)

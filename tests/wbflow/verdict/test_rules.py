@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 
 from wbflow.errors import ExitCode
-from wbflow.pipeline.summaries import CalibrationCheck, CameraFigures, CoverageSummary, PairFigures, PoseIssue, PosesSummary
-from wbflow.records.findings import FINDINGS, Finding, Health, Verdict
+from wbflow.pipeline.summaries import CameraFigures, CoverageSummary, PairFigures, PosesSummary
+from wbflow.records.findings import FINDINGS, Finding, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
 from wbflow.verdict.baseline import appearance_of, usual_before, usual_of
 from wbflow.verdict.rules import Facts, judge
+from wbflow_stages.contracts.camera_figures import Health
+from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
 
 NAMES = ("crane", "gate", "mast", "roof")
 PAIRS = [(a, b) for i, a in enumerate(NAMES) for b in NAMES[i + 1 :]]
