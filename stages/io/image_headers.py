@@ -14,6 +14,7 @@ SCAN = 0xDA
 """JPEG marker: compressed data begins."""
 APP1 = 0xE1
 """JPEG marker: the segment that holds EXIF data."""
+_START_OF_IMAGE = 0xD8
 _END_OF_IMAGE = 0xD9
 _RESTARTS = range(0xD0, 0xD8)
 """JPEG markers within compressed data (RST0 to RST7), which have no length."""
@@ -90,6 +91,8 @@ def jpeg_end(data: bytes) -> int | None:
         if offset >= len(data):
             return None
         marker = data[offset + 1]
+        if marker == _START_OF_IMAGE:  # the next picture: this one has no end marker
+            return offset
         if marker == _END_OF_IMAGE:
             return offset + 2
         if marker in _RESTARTS or marker == 0x01:

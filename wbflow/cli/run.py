@@ -23,7 +23,7 @@ from .display import display
 
 if TYPE_CHECKING:
     from ..api import Run
-    from ..capture import Delivery
+    from ..capture.take import Delivery
     from ..commands.status import Status
     from ..records.findings import Finding
     from ..records.record import RunRecord
@@ -237,7 +237,7 @@ def capture(site: Path, quiet: bool) -> None:
 
 
 def _capture(site: Site, quiet: bool) -> list[Delivery]:
-    from ..capture import capture
+    from ..capture.take import capture
 
     def print_delivery(delivery: Delivery) -> None:
         if delivery.fault or not quiet:
@@ -295,8 +295,9 @@ def _print_status(status: Status) -> None:
 @common.site_argument
 @common.date_option
 @common.work_option
-def check(site: Path, date: Day | None, work: str | None) -> None:
-    """Check site file, captures and machine.  Prints each problem with its remedy, and runs nothing.
+@click.option("--no-network", is_flag=True, help="Do not ask cameras with a url for a picture.")
+def check(site: Path, date: Day | None, work: str | None, no_network: bool) -> None:
+    """Check site file, captures, cameras on the network, and machine.  Prints each problem with its remedy, and runs nothing.
 
     \b
     wbflow check site.yaml
@@ -305,7 +306,7 @@ def check(site: Path, date: Day | None, work: str | None) -> None:
     from ..commands import check as checks
 
     loaded = load(site, work)
-    findings = checks.check(loaded, date_at(loaded, date))
+    findings = checks.check(loaded, date_at(loaded, date), not no_network)
     for finding in findings:
         echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:

@@ -55,14 +55,15 @@ class Fault:
     """The exit code that a run would end with because of it."""
 
 
-def check(site: Site, date: datetime.date | None) -> list[Fault]:
-    """Find everything that would spoil a run, or part of one."""
+def check(site: Site, date: datetime.date | None, network: bool = True) -> list[Fault]:
+    """Find everything that would spoil a run, or part of one.  network: also ask cameras with a `url` for a picture."""
     doubts = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
     machine = check_machine()
     if machine:
         return doubts + machine + _disk(site)
     night = read_night(site, Options(date))
-    return [*doubts, *check_captures(site, night), *_disk(site), *check_published(site.work_folder)]
+    cameras = check_urls(site) if network else []
+    return [*doubts, *check_captures(site, night), *cameras, *_disk(site), *check_published(site.work_folder)]
 
 
 def _headed(problem: Problem) -> str:
@@ -154,12 +155,32 @@ def _remedy_of_nothing(site: Site, date: datetime.date) -> str:
     return "check captures.root and pattern: {camera} stands for the id, {date:%Y-%m-%d} for the night"
 
 
+def check_urls(site: Site) -> list[Fault]:
+    """Does each camera that has a `url` deliver a picture?"""
+    if not any(entry.url for entry in site.settings.cameras):
+        return []
+    from ..capture.take import trial  # here: only such sites need the network
+
+    faults: list[Fault] = []
+    found = trial(site)
+    for number, entry in enumerate(site.settings.cameras):
+        fault = found.get(entry.id)
+        if fault:
+            line, column = site.document.place(("cameras", number, "url"))
+            what = f"{site.file}:{line}:{column}: camera {entry.id}: {fault}"
+            remedy = "open its url in a browser on this machine, or pass the network by: --no-network"
+            faults.append(Fault("error", what, remedy, ExitCode.DEGRADED))
+    return faults
+
+
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
     """What to do about a camera without captures; the file names may spell its id differently."""
     capture_names = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
     similar = difflib.get_close_matches(camera.id, capture_names, 1)
     if similar:
         return f"did you mean {printable(similar[0])!r}? There are captures of it"
+    if any(entry.id == camera.id and entry.url for entry in site.settings.cameras):
+        return f"take some: wbflow capture {site.file}, or wbflow run {site.file} --capture"
     if camera.images is None and capture_names:
         return f"there are captures of {', '.join(sorted(map(printable, capture_names))[:FEW_EXAMPLES])}"
     return "check captures.root and pattern, or the camera itself"

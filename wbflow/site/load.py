@@ -22,7 +22,7 @@ from ..remote import is_url
 from ..words import printable
 from .cameras import read_cameras, read_survey, views_of
 from .geodesy import POSITION_REMEDY, local_frame
-from .models import CUSTOM, Captures, Site, SiteFile
+from .models import CUSTOM, Site, SiteFile
 from .pattern import Pattern
 from .plausibility import check_plausibility
 from .stage_settings import read_stages
@@ -55,7 +55,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     stages, notes = read_stages(file.stages, reader, problems)
     _check_pairs(file, problems, notes)
     doubts = check_plausibility(file, cameras, stages, reader, problems)
-    captures = _captures_pattern(file.captures, problems)
+    captures = _captures_pattern(file, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
         problems.add(("site",), f"{file.site!r} is not a name", remedy)
@@ -105,13 +105,18 @@ def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFold
     return WorkFolder(resolve_path(work, ("work",), problems)) if work else WorkFolder.default_for(problems.document.path, name)
 
 
-def _captures_pattern(settings: Captures, problems: Problems) -> Pattern:
-    """The captures' pattern, with the folder they are in, or the local mirror of their object store."""
+def _captures_pattern(file: SiteFile, problems: Problems) -> Pattern:
+    """The captures' pattern, with the folder they are in, or the local mirror of their object store.
+
+    The folder must be there, unless all cameras have a `url`: then `wbflow capture` makes it.
+    """
+    settings = file.captures
     if is_url(settings.root):
         mirror = WorkFolder.mirroring(settings.root, "captures")
         return Pattern(mirror.root, settings.pattern, mirror.store)
     root = resolve_path(settings.root, ("captures", "root"), problems)
-    if not is_folder(root):
+    is_made_later = bool(file.cameras) and all(camera.url for camera in file.cameras)
+    if not is_folder(root) and not is_made_later:
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
         problems.add(("captures", "root"), f"there is no folder {printable(root)}", remedy)
     return Pattern(root, settings.pattern)
@@ -174,6 +179,10 @@ _REMEDIES = {
     "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",
     "cameras": "list the cameras: cameras: [gate, roof], or mappings with id, intrinsics, distortion, pose, mask, images",
+    "url": "write the address alone, e.g. url: 'http://10.0.0.5/snapshot.jpg', and name a file as captures: {credentials: FILE}; "
+    "it has lines such as  gate: {user: viewer, password: secret}",
+    "tls": "true: verified by known authorities (default); false: not verified; 'sha256:AB:CD:...': the camera's fingerprint; or "
+    "a PEM file with its certificate",
     "distortion": "give [k1, k2, p1, p2, k3] as OpenCV defines them, or those of the model that you name",
     "model": f"name one of {', '.join(LensModel)}; without it a lens is brown (OpenCV's k1 k2 p1 p2 k3)",
     "site": "give the site a name: site: harbour",

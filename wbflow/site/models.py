@@ -196,6 +196,7 @@ class CameraEntry(Section):
     privacy: list[list[Vector2]] = []
     images: list[str] | None = None
     url: str | None = None
+    tls: bool | str = True
 
     @field_validator("url")
     @classmethod
@@ -207,6 +208,15 @@ class CameraEntry(Section):
         if "@" in url.split("://", 1)[1].split("/", 1)[0]:
             raise _error("user and password belong in the file named by captures.credentials, not in the url")
         return url
+
+    @field_validator("tls", mode="before")
+    @classmethod
+    def _check_tls(cls, tls: Any) -> Any:
+        if isinstance(tls, str) and re.fullmatch(r"(?i)sha-?256:.*", tls):
+            digits = tls.split(":", 1)[1].replace(":", "")
+            if not re.fullmatch("[0-9a-fA-F]{64}", digits):
+                raise _error("a fingerprint is sha256: and 64 hexadecimal digits, with or without colons between them")
+        return tls
 
     @model_validator(mode="after")
     def _check_lens(self) -> CameraEntry:

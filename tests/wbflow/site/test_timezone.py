@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 
 from tests.wbflow.verdict.test_rules import night as a_night
-from wbflow import capture
-from wbflow.capture import Delivery
+from wbflow.capture import take as capture
+from wbflow.capture.take import Delivery
 from wbflow.cli.common import date_at, day
 from wbflow.report.data import ReportData
 from wbflow.report.page import _when

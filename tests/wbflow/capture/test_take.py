@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 
 import wbflow
 from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, rtsp_camera, writing_into
-from wbflow import capture as taking
+from wbflow.capture import take as taking
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
 from wbflow.site.pattern import Pattern

@@ -1,0 +1,369 @@
+"""Pictures of a camera that is an HTTP server: snapshots, and Motion JPEG in whatever form.
+
+Requests does what HTTP prescribes (redirects, logins, chunks, compression, TLS).  Motion JPEG is not read by the boundaries
+between its parts, which cameras write with and without dashes, line feeds and lengths: a JPEG file says itself where it ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import email.utils
+import hashlib
+import re
+import socket
+import ssl
+import time
+import urllib.parse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import requests
+import urllib3
+from requests.adapters import HTTPAdapter
+from requests.auth import AuthBase, HTTPDigestAuth
+
+from ..plugins import load
+
+Login = tuple[str, str]
+"""User and password of a camera."""
+Shot = tuple[bytes, float | None]
+"""A picture file's bytes, and the Unix time when it was taken by the camera's clock; None if the camera sends no time."""
+
+MOST_PICTURE_BYTES = 100_000_000
+"""Largest picture that is read, bytes."""
+_CHUNK_BYTES = 65536
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB`\x82"
+_JPEG_START = b"\xff\xd8\xff"
+_JPEG_END = b"\xff\xd9"
+_DIGESTS = {"MD5", "MD5-SESS", "SHA", "SHA-256", "SHA-512"}
+"""Algorithms of digest authentication that Requests computes."""
+FINGERPRINT = re.compile(r"(?i)(?:sha-?256:)?((?:[0-9a-f]{2}:?){31}[0-9a-f]{2})")
+"""SHA-256 of a certificate, as browsers and OpenSSL show it."""
+
+
+urllib3.disable_warnings(urllib3.exceptions.InsecureRequestWarning)  # `tls: false` in the site file has been a decision
+
+
+@dataclass(frozen=True)
+class Access:
+    """How a camera is reached besides its address."""
+
+    login: Login | None = None
+    tls: bool | str = True
+    """For https: True, its certificate is verified by the known authorities; False, it is not; a SHA-256 fingerprint, it is
+    exactly this certificate; a path, it is one of those in this PEM file or signed by one."""
+
+
+def server_shots(url: str, access: Access, moments: Sequence[float], patience: float) -> Iterator[Shot]:
+    """Yield a picture of a camera at each moment (Unix times, in order): of one request each, or of an endless response.
+
+    Raises OSError with the reason if there is none; it contains neither the address nor the login.
+
+    Parameters
+    ----------
+    url : http:// or https://.
+    access : login and certificate.
+    moments : when pictures are wanted.
+    patience : timeout of the connection and of each part of an answer, seconds.
+    """
+    remaining = list(moments)
+    with _session(url, access) as session:
+        while remaining:
+            time.sleep(max(0.0, remaining[0] - time.time()))
+            try:
+                with session.get(url, stream=True, timeout=patience) as response:
+                    _refuse_failure(response, access)
+                    for shot in _shots_of(response, remaining):
+                        remaining.pop(0)
+                        yield shot
+            except requests.RequestException as error:
+                raise OSError(_cause(error, url, patience)) from None
+
+
+def _shots_of(response: requests.Response, remaining: Sequence[float]) -> Iterator[Shot]:
+    """The pictures of a response, each the first at or after the first of the `remaining` moments, which the caller takes away.
+
+    A response of one picture, and one that stalls after its first picture, end after that: the next request brings the next one.
+    """
+    is_multipart = response.headers.get("Content-Type", "").lower().startswith("multipart")
+    is_single = "Content-Length" in response.headers and not is_multipart
+    answered_at = None if is_multipart else _parse_date(response.headers.get("Date"))
+    is_first = True
+    pictures = _pictures(response)
+    while remaining:
+        try:
+            picture, header = next(pictures)
+        except StopIteration:
+            return
+        except (requests.Timeout, requests.ConnectionError, OSError):
+            if is_first:
+                raise
+            return
+        if is_first or time.time() >= remaining[0]:
+            yield picture, _part_time(header) or answered_at
+            answered_at = None
+            is_first = False
+        if is_single:
+            return
+
+
+def _pictures(response: requests.Response) -> Iterator[tuple[bytes, str]]:
+    """Each complete JPEG or PNG file in a response, and the text before it; what lies between them is skipped.
+
+    Raises OSError if the response ends without any, and with a part of one.
+    """
+    jpeg_end = load("wbflow_stages.io.image_headers:jpeg_end")
+    data = bytearray()
+    searched = 0
+    size = 0
+    count = 0
+    beginning = b""
+    for chunk in _chunks(response):
+        size += len(chunk)
+        beginning = beginning or bytes(chunk[:60])
+        data += chunk
+        while (start := _start(data)) >= 0:
+            if data.startswith(_PNG_START, start):
+                place = data.find(_PNG_END, start)
+                end = place + len(_PNG_END) if place >= 0 else None
+            elif _JPEG_END not in data[max(start, searched - 1) :]:
+                end = None
+            else:
+                end = jpeg_end(bytes(data[start:]))
+                end = start + end if end is not None else None
+            if end is None:
+                break
+            picture = bytes(data[start:end])
+            header = data[:start].decode("latin-1")
+            del data[:end]
+            searched = 0
+            if picture.endswith((_JPEG_END, _PNG_END)):  # otherwise the next picture has begun before the end of this one
+                count += 1
+                yield picture, header
+        searched = len(data)
+        if len(data) > MOST_PICTURE_BYTES:
+            raise OSError(f"sends a picture of more than {MOST_PICTURE_BYTES / 1e6:.0f} MB, or none at all")
+    if _start(data) >= 0 and not count:
+        raise OSError(f"sent an incomplete picture ({len(data):,} bytes)")
+    if not count:
+        raise OSError(_other_answer(response, size, beginning))
+
+
+def _chunks(response: requests.Response) -> Iterator[bytes]:
+    """The body as it arrives: a picture must not wait until the beginning of the next one fills a buffer."""
+    try:
+        while chunk := response.raw.read1(_CHUNK_BYTES, decode_content=True):
+            yield chunk
+    except urllib3.exceptions.ReadTimeoutError:
+        raise requests.ReadTimeout from None
+    except urllib3.exceptions.HTTPError:
+        return  # the connection has ended early: the reader of pictures finds out what is missing
+
+
+def _start(data: bytearray) -> int:
+    """Where the first picture begins; -1 if none does."""
+    starts = [place for place in (data.find(_JPEG_START), data.find(_PNG_START)) if place >= 0]
+    return min(starts, default=-1)
+
+
+def _other_answer(response: requests.Response, size: int, beginning: bytes) -> str:
+    """What a response holds instead of a picture, for the operator."""
+    if not size:
+        return f"sends an empty picture (status {response.status_code})"
+    kind = response.headers.get("Content-Type", "no type")
+    text = "".join(letter if letter.isprintable() else " " for letter in beginning.decode("latin-1")).strip()
+    return f"sends something else than a picture (status {response.status_code}, {kind}, {size:,} bytes: {text[:40]!r})"
+
+
+def _part_time(header: str) -> float | None:
+    """When a picture of Motion JPEG was taken by the header of its part; None if that does not say it."""
+    stamp = re.search(r"(?im)^x-timestamp:\s*(\d+(?:\.\d+)?)\s*$", header)
+    if stamp:
+        return float(stamp[1])
+    date = re.search(r"(?im)^date:\s*(.+?)\s*$", header)
+    return _parse_date(date[1]) if date else None
+
+
+def _parse_date(text: str | None) -> float | None:
+    try:
+        return email.utils.parsedate_to_datetime(text).timestamp() if text else None
+    except (ValueError, TypeError, OverflowError):
+        return None
+
+
+def _refuse_failure(response: requests.Response, access: Access) -> None:
+    """Raises OSError for a status that is no success."""
+    if response.ok:
+        return
+    advice = ""
+    if response.status_code in {401, 403}:
+        advice = ": check its user and password in the file of credentials"
+        if access.login is None:
+            advice = ": it wants user and password; name them in the file of captures.credentials"
+    raise OSError(f"answered {response.status_code} {response.reason}{advice}")
+
+
+class _Session(requests.Session):
+    """A session that sends the login to the camera's own host alone, also after redirects, whatever the port."""
+
+    def rebuild_auth(self, prepared_request: requests.PreparedRequest, response: requests.Response) -> None:
+        """Take from a redirected request what must not go to another host, and digests, which are for one path."""
+        headers: Any = prepared_request.headers
+        is_digest = headers.get("Authorization", "").startswith("Digest")
+        target = str(prepared_request.url)
+        if is_digest or not _is_same_camera(str(response.request.url), target):
+            headers.pop("Authorization", None)
+
+
+def _is_same_camera(source: str, target: str) -> bool:
+    """Is a redirect to the same host, and not from an encrypted connection to a plain one?"""
+    old, new = urllib.parse.urlsplit(source), urllib.parse.urlsplit(target)
+    return old.hostname == new.hostname and (old.scheme, new.scheme) != ("https", "http")
+
+
+class _NoLogin(AuthBase):
+    """No login, not even one of the user's .netrc file."""
+
+    def __call__(self, request: requests.PreparedRequest) -> requests.PreparedRequest:
+        return request
+
+
+class _OnDemand(HTTPDigestAuth):
+    """The login as the camera asks for it: by digest with the first of its algorithms that is known, else plainly.
+
+    A camera may offer several ways, in one header or in several.
+    """
+
+    def __init__(self, url: str, login: Login) -> None:
+        super().__init__(*login)
+        self._url = url
+
+    def handle_401(self, r: requests.Response, **kwargs: Any) -> requests.Response:
+        """Send a refused request again, once, with the login."""
+        if r.status_code != 401 or not _is_same_camera(self._url, str(r.url)):
+            return r
+        offers = _challenges(r)
+        for offer in offers:
+            algorithm = re.search(r'(?i)\balgorithm="?([\w-]+)', offer)
+            if offer.lower().startswith("digest") and (algorithm is None or algorithm[1].upper() in _DIGESTS):
+                r.headers["www-authenticate"] = offer
+                return super().handle_401(r, **kwargs)
+        is_basic = any(offer.lower().startswith("basic") for offer in offers)
+        if not is_basic or str(r.request.headers.get("Authorization", "")).startswith("Basic"):
+            return r
+        _ = r.content  # free the connection for the second request
+        r.close()
+        again = r.request.copy()
+        user, password = (part.encode() for part in (str(self.username), str(self.password)))
+        requests.auth.HTTPBasicAuth(user, password)(again)
+        adapter: Any = r.connection
+        answer: requests.Response = adapter.send(again, **kwargs)
+        answer.history.append(r)
+        answer.request = again
+        return answer
+
+
+def _challenges(response: requests.Response) -> list[str]:
+    """The ways to log in that a server offers, `Digest realm=...` or `Basic realm=...`, in its order."""
+    offers: list[str] = []
+    for header in response.raw.headers.getlist("WWW-Authenticate"):
+        for offer in re.split(r"(?i)(?=\b(?:basic|digest)\s+\w+\s*=)", header):
+            if offer.strip(" ,"):
+                offers.append(offer.strip(" ,"))
+    return offers
+
+
+def _session(url: str, access: Access) -> requests.Session:
+    session = _Session()
+    session.auth = _OnDemand(url, access.login) if access.login else _NoLogin()
+    if access.tls is not True:
+        session.mount("https://", _Certificates(access.tls))
+    return session
+
+
+class _Certificates(HTTPAdapter):
+    """Connections to a camera whose certificate no authority has signed; see `Access.tls`."""
+
+    def __init__(self, tls: bool | str) -> None:
+        self._tls = tls
+        super().__init__()
+
+    def init_poolmanager(self, *args: Any, **kwargs: Any) -> None:
+        """Make the connections check what `tls` says, and nothing else."""
+        context = ssl.create_default_context()
+        context.check_hostname = False  # cameras are addressed by number, and their certificates name anything
+        fingerprint = FINGERPRINT.fullmatch(str(self._tls))
+        if self._tls is False or fingerprint:
+            context.verify_mode = ssl.CERT_NONE
+            # old cameras know short keys and old protocols only; who they are is known by the fingerprint, or not wanted
+            context.set_ciphers("DEFAULT:@SECLEVEL=0")
+            context.minimum_version = ssl.TLSVersion.MINIMUM_SUPPORTED
+        else:
+            context.load_verify_locations(str(self._tls))
+            context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # the camera's own certificate is enough
+        kwargs["ssl_context"] = context
+        kwargs["assert_hostname"] = False
+        if fingerprint:
+            kwargs["assert_fingerprint"] = fingerprint[1].replace(":", "")
+        super().init_poolmanager(*args, **kwargs)
+
+    def cert_verify(self, conn: Any, url: str, verify: Any, cert: Any) -> None:
+        """Keep the context's own checks, instead of those that Requests sets for each connection."""
+
+    def build_connection_pool_key_attributes(self, request: Any, verify: Any, cert: Any = None) -> Any:
+        """Keep the context's own checks, as above."""
+        host, pool = super().build_connection_pool_key_attributes(request, verify, cert)
+        pool.pop("ca_certs", None)
+        pool.pop("ca_cert_dir", None)
+        pool.pop("cert_reqs", None)
+        return host, pool
+
+
+def _cause(error: Exception, url: str, patience: float) -> str:
+    """Why a request failed, for the operator.  Messages of the libraries contain the address, which may hold a password."""
+    if isinstance(error, requests.Timeout):
+        return f"does not answer within {patience:.0f} s"
+    if isinstance(error, requests.exceptions.SSLError):
+        return _certificate_fault(error, url, patience)
+    if isinstance(error, requests.TooManyRedirects):
+        return "redirects again and again"
+    if isinstance(error, requests.exceptions.InvalidURL | requests.exceptions.InvalidSchema):
+        return "has an address that is not valid"
+    reason = _innermost(error)
+    return f"cannot be reached: {getattr(reason, 'strerror', None) or type(reason).__name__}"
+
+
+def _innermost(error: BaseException) -> BaseException:
+    """The error that others were raised for."""
+    for inner in (getattr(error, "reason", None), error.__cause__, error.__context__, *error.args):
+        if isinstance(inner, BaseException):
+            return _innermost(inner)
+    return error
+
+
+def _certificate_fault(error: Exception, url: str, patience: float) -> str:
+    """What is wrong with a certificate, and what to write if it is the camera's own."""
+    text = str(error)
+    reason = "its certificate is not trusted"
+    if "ingerprints did not match" in text:
+        reason = "its certificate is not the one whose fingerprint is stated as `tls`"
+    elif found := re.search(r"certificate verify failed: ([\w -]+)", text):
+        reason = f"{reason} ({found[1].strip()})"
+    elif found := re.search(r"\[SSL: (\w+)\]", text):
+        return f"no encrypted connection can be made ({found[1]})"
+    address = urllib.parse.urlsplit(url)
+    with contextlib.suppress(OSError, ValueError):
+        fingerprint = _fingerprint(str(address.hostname), address.port or 443, patience)
+        return f"{reason}; if it is the camera's own, trust it by  tls: 'sha256:{fingerprint}'"
+    return f"{reason}; name the camera's certificate as `tls`"
+
+
+def _fingerprint(host: str, port: int, patience: float) -> str:
+    """SHA-256 of the certificate that a server shows now."""
+    context = ssl._create_unverified_context()
+    with socket.create_connection((host, port), patience) as plain, context.wrap_socket(plain, server_hostname=host) as encrypted:
+        certificate = encrypted.getpeercert(binary_form=True) or b""
+    digest = hashlib.sha256(certificate).hexdigest().upper()
+    return ":".join(digest[k : k + 2] for k in range(0, len(digest), 2))
