@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -58,7 +59,10 @@ class Finding(JsonDataclass):
         return "--".join(self.subject) if len(self.subject) <= 2 else f"{len(self.subject)} cameras"
 
     def __str__(self) -> str:
-        return f"{self.about}: {self.text}" if self.subject else self.text
+        beginning = self.text.partition(":")[0]
+        if not self.subject or re.search(rf"(?<![\w.-]){re.escape(self.about)}(?![\w.-])", beginning):
+            return self.text  # it names its subject itself
+        return f"{self.about}: {self.text}"
 
     @model_serializer(mode="wrap")
     def _with_alias(self, write: Any) -> dict[str, Any]:

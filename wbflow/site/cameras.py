@@ -22,7 +22,7 @@ from .calibration.calibrated import REMEDY, Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
 from .ids import as_id
 from .models import Camera, CameraEntry, Position, SiteFile
-from .yaml_document import Location, Problems, SiteError, is_name, resolve_path
+from .yaml_document import Location, Problems, SiteError, is_name, resolve_path, suggest
 
 _OWN_PINHOLE = frozenset({LensModel.PINHOLE, LensModel.BROWN})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
@@ -174,13 +174,16 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
     distances = []
     for k, (left, right, metres) in enumerate(file.distances):
         location: Location = ("distances", k)
-        i, j = _index_of(left, ids, (*location, 0), problems), _index_of(right, ids, (*location, 1), problems)
+        first = _index_of(left, ids, (*location, 0), problems)
+        second = _index_of(right, ids, (*location, 1), problems)
         if not isinstance(metres, int | float) or isinstance(metres, bool) or not 0 < metres < math.inf:
             problems.add((*location, 2), f"{metres!r} is not a distance in metres", "write [camera, camera, metres]")
-        elif i == j:
-            problems.add(location, "a camera has no distance from itself", "name two cameras")
+        elif first is None or second is None:
+            continue
+        elif first == second:
+            problems.add(location, f"{left} has no distance from itself", "name two cameras")
         else:
-            distances.append((i, j, float(metres)))
+            distances.append((first, second, float(metres)))
     points, observations = [], []
     for k, point in enumerate(file.control_points):
         location = ("control_points", k)
@@ -189,18 +192,19 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
             problems.add(location, "fewer than two cameras see it", remedy)
         for camera, (x, y) in point.pixels.items():
             index = _index_of(camera, ids, (*location, "pixels", camera), problems)
-            observations.append((k, index, x, y))
+            if index is not None:
+                observations.append((k, index, x, y))
         x, y, z = _metres(point, frame) or [0.0, 0.0, 0.0]
         points.append((x, y, z))
     return Survey(tuple(ids), tuple(distances), tuple(points), tuple(observations), frame.crs if frame else "")
 
 
-def _index_of(camera: Any, ids: list[str], location: Location, problems: Problems) -> int:
-    """The index of a camera that the file names at a location; 0, and a problem, if there is none with this id."""
+def _index_of(camera: Any, ids: list[str], location: Location, problems: Problems) -> int | None:
+    """The index of a camera that the file names at a location; None, and a problem, if there is none with this id."""
     if camera in ids:
         return ids.index(camera)
-    problems.add(location, f"there is no camera {camera!r}", "use ids from 'cameras'")
-    return 0
+    problems.add(location, f"there is no camera {camera!r}", suggest(str(camera), ids, "use ids from 'cameras'"))
+    return None
 
 
 def _metres(position: Position, frame: LocalFrame | None) -> list[float] | None:

@@ -66,7 +66,7 @@ class Reader:
         def work() -> None:
             try:
                 answer.set_result(read())
-            except (OSError, ValueError, WbflowError) as error:
+            except BaseException as error:  # a fault of our own is raised where it is waited for, not taken for a disk that hangs
                 answer.set_exception(error)
 
         self._reads.put(work)

@@ -217,18 +217,45 @@ def _explain(error: ValidationError, problems: Problems) -> None:
         remedy = _REMEDIES.get(explained_step, "see sites/template.yaml")
         if kind == "extra_forbidden":
             keys = _keys_at(section)
-            problems.add(location, f"unknown key {key!r}", suggest(key, keys, f"known here: {', '.join(keys)}"), key=True)
+            advice = _slip_of_key(key) or suggest(key, keys, f"known here: {', '.join(keys)}")
+            problems.add(location, f"unknown key {key!r}", advice, key=True)
         elif kind == "missing":
             if location not in misspelt:  # otherwise it is present but misspelt
                 problems.add(section, f"{key!r} is missing", remedy)
         elif key == "pattern" and isinstance(item["input"], dict):
             what = "is not a text: without quotes, YAML takes {camera} for a mapping"
             problems.add(location, what, "put it in quotes: pattern: '{camera}.jpg'")
+        elif kind == "too_long":
+            most, count = item["ctx"]["max_length"], item["ctx"]["actual_length"]
+            advice = f"{_DECIMAL_COMMA}; {remedy}" if _may_have_decimal_commas(item["input"], most) else remedy
+            problems.add(location, f"holds {count} values, {most} belong there", advice)
+        elif isinstance(item["input"], str) and re.fullmatch(r"[-+]?\d+,\d+", item["input"].strip()):
+            corrected = item["input"].strip().replace(",", ".")
+            problems.add(location, f"{item['input']!r} is not a number", f"{_DECIMAL_COMMA}: {corrected}")
         elif kind == CUSTOM:
             problems.add(location, item["msg"], remedy)
         else:
             shown = "" if isinstance(item["input"], dict | list) else f", not {item['input']!r}"
             problems.add(location, f"{item['msg'][0].lower()}{item['msg'][1:]}{shown}", remedy)
+
+
+_DECIMAL_COMMA = "write decimals with a point, not a comma (1.5, not 1,5)"
+
+
+def _may_have_decimal_commas(values: Any, most: int) -> bool:
+    """May a list be too long because each decimal comma divided a number in two?"""
+    if not isinstance(values, list) or len(values) > 2 * most:
+        return False
+    numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
+    return len(numbers) > 1
+
+
+def _slip_of_key(key: str) -> str:
+    """How a key came about that is none: a missing space after a colon, or a decimal comma; "" if neither."""
+    name, colon, value = key.partition(":")
+    if colon and name and value:
+        return f"write a space after the colon: {printable(name)}: {printable(value)}"
+    return _DECIMAL_COMMA if re.fullmatch(r"\d+", key) else ""
 
 
 def _without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:

@@ -72,7 +72,7 @@ def check_plausibility(
     doubts = Problems(problems.document)
     for position, camera in enumerate(cameras):
         _check_lens(file, position, camera.lens, problems, doubts)
-        _check_privacy(position, camera, problems, doubts)
+        _check_privacy(position, camera, problems)
     _check_places(file, cameras, problems, doubts)
     _check_uprightness(cameras, doubts)
     _check_distances(file, cameras, problems)
@@ -171,15 +171,15 @@ def _distorted_radius(lens: Lens, radius: float) -> float:
     return radius * numerator / denominator if denominator else math.inf
 
 
-def _check_privacy(position: int, camera: Camera, problems: Problems, doubts: Problems) -> None:
+def _check_privacy(position: int, camera: Camera, problems: Problems) -> None:
+    """A run would refuse all captures of a camera whose polygon is not within the picture."""
     size = (camera.lens.width, camera.lens.height)
     for index, polygon in enumerate(camera.privacy):
         location = ("cameras", position, "privacy", index)
         if what := crossing(polygon):
             problems.add(location, what, "give the corners in their order along the border, as wbflow edit draws them")
         elif all(size) and (fault := polygon_outside(polygon, size)):
-            sink = problems if "wholly" in fault else doubts
-            sink.add(location, fault, "corners are pixels of a capture, x before y, or shares of its width and height")
+            problems.add(location, fault, "corners are pixels of a capture, x before y, or shares of its width and height")
 
 
 def polygon_outside(polygon: Sequence[Sequence[float]], size: tuple[int, int]) -> str:

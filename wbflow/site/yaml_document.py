@@ -6,7 +6,7 @@ import difflib
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ _MOST_LEVELS = 40
 """Largest nesting depth that is accepted; a site file needs eight levels."""
 _MOST_VALUES = 500_000
 """Largest number of values once aliases are expanded; a site with a thousand cameras has 30,000."""
+_LINES_OF_A_SLIP = 3
+"""How many lines up to the one that YAML complains of are searched for the mistake that it is due to."""
 _LARGEST_INTEGER = 10**15
 """Largest magnitude of an integer that is accepted."""
 
@@ -176,6 +178,8 @@ def parse_yaml(text: str, path: Path) -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        if slip := _slip_before(text, line):
+            raise SiteError(replace(slip, file=path)) from None
         what = f"not valid YAML: {printable(error.problem)}"
         raise SiteError(Problem(path, what, _remedy_at(text, line), line, column)) from None
     except yaml.YAMLError as error:
@@ -188,6 +192,21 @@ def parse_yaml(text: str, path: Path) -> Document:
     if problems.found:
         raise SiteError(*problems.found)
     return problems.document
+
+
+def _slip_before(text: str, line: int) -> Problem | None:
+    """A key without a space after its colon, or with `=`, on this line or the ones before it.
+
+    YAML takes it for a text that goes on, and reports the next line.
+    """
+    lines = text.splitlines()
+    for number in range(min(line, len(lines)), max(0, line - _LINES_OF_A_SLIP), -1):
+        match = re.match(r"(\s*(?:- )?)([A-Za-z_]\w*)(:|\s*=\s*)([^\s/=:].*)$", lines[number - 1])
+        if match:
+            before, key, sign, value = match.groups()
+            what = f"there is no space after the colon of {key!r}" if sign == ":" else f"{key!r} is followed by '=', not a colon"
+            return Problem(Path(), what, f"write {key}: {printable(value, 80)}", number, len(before) + 1)
+    return None
 
 
 def _remedy_at(text: str, line: int) -> str:

@@ -6,6 +6,7 @@ import datetime
 import json
 import os
 import re
+import time
 import zoneinfo
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from wbflow.cache.memo import Digests, EarlierCaptures
 from wbflow.errors import UsageError
 from wbflow.site.bursts import burst_ends
-from wbflow.site.captures import backlog, changes_of, find_captures, night, nothing_matches
+from wbflow.site.captures import Reader, backlog, changes_of, find_captures, night, nothing_matches
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
 from wbflow.site.stale_cameras import find_stale
@@ -300,3 +301,13 @@ def test_a_pattern_that_matches_nothing_shows_what_it_wants_and_what_is_there(tm
         "captures.pattern wants gate/2026-11-19_*.jpg, and there are gate/IMG_0000.jpg, gate/IMG_0001.jpg, gate/IMG_0002.jpg in "
         f"{tmp_path / 'in'}"
     )
+
+
+def test_a_fault_of_our_own_is_raised_at_once_and_not_taken_for_a_disk_that_hangs() -> None:
+    def read() -> None:
+        raise re.error("of our own")
+
+    start = time.monotonic()
+    with pytest.raises(re.error, match="of our own"):
+        Reader().read(read, 60.0)
+    assert time.monotonic() - start < 10

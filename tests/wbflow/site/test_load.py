@@ -393,3 +393,53 @@ def test_a_camera_that_fits_one_pinhole_is_not_split(tmp_path: Path) -> None:
     (tmp_path / "roof.png").write_bytes(b"")
     site = load_site(site_at(tmp_path, FISHEYE.format(f=400)))
     assert site.views == site.cameras
+
+
+LENS = "  - {id: mast, intrinsics: {%s}}\n"
+SLIPS = {
+    "decimal commas in a position": (
+        GOOD + "  - {id: mast, pose: {position: [1,5, 2,0, 3,1]}}\n",
+        "site.yaml:6:33: cameras[2].pose.position: holds 6 values, 3 belong there\n  write decimals with a point, not a comma",
+    ),
+    "one decimal comma": (
+        GOOD + "distances: [[gate, roof, 12,4]]\n",
+        "distances[0]: holds 4 values, 3 belong there\n  write decimals",
+    ),
+    "a decimal comma in braces": (GOOD + LENS % "hfov: 71,5", "unknown key '5'\n  write decimals with a point"),
+    "a decimal comma in a line": (
+        GOOD + "  - id: mast\n    intrinsics:\n      hfov: 71,5\n",
+        "cameras[2].intrinsics.hfov: '71,5' is not a number\n  write decimals with a point, not a comma (1.5, not 1,5): 71.5",
+    ),
+    "a list that is just too long": (
+        GOOD + "zones: [{name: quay, polygon: [[0, 0], [1, 2, 3, 4, 5], [2, 2]]}]\n",
+        "zones[0].polygon[1]: holds 5 values, 2 belong there\n  give name",
+    ),
+    "no space after the first colon": (
+        GOOD.replace("site: ", "site:"),
+        "site.yaml:1:1: there is no space after the colon of 'site'\n  write site: yard",
+    ),
+    "no space after a later colon": (
+        GOOD + "resolution:1600\npairs: {}\n",
+        "site.yaml:6:1: there is no space after the colon of 'resolution'",
+    ),
+    "no space in braces": (GOOD + LENS % "hfov:70", "unknown key 'hfov:70'\n  write a space after the colon: hfov: 70"),
+    "an equals sign": (
+        GOOD + "resolution = 1600\n",
+        "site.yaml:6:1: 'resolution' is followed by '=', not a colon\n  write resolution: 1600",
+    ),
+    "an unknown id": (
+        GOOD + "distances: [[gate, rof, 3]]\n",
+        "distances[0][1]: there is no camera 'rof'\n  did you mean 'roof'?",
+    ),
+    "an id twice": (GOOD + "distances: [[gate, gate, 3]]\n", "distances[0]: gate has no distance from itself"),
+    "an id in another script": (
+        GOOD + "  - Tor süd\n",
+        "'Tor süd' is not a camera id\n  use letters, digits, '_', '.', '-' (not dots alone), at most 100, for example Tor-sud",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), SLIPS.values(), ids=SLIPS)
+def test_frequent_slips_are_told_as_what_they_are(tmp_path: Path, text: str, message: str) -> None:
+    (found,) = problems(tmp_path, text)
+    assert message in found

@@ -60,6 +60,10 @@ REFUSED: dict[str, tuple[dict[str, str], tuple[str, ...]]] = {
         {"gate": gate("privacy: [[[20, 800], [100, 810], [50, 900]]]")},
         ("900", "1280x720", "wholly"),
     ),
+    "privacy partly outside": (
+        {"gate": gate("privacy: [[[1200, 10], [1400, 10], [1250, 90]]]")},
+        ("1400", "1280x720", "a part"),
+    ),
     "privacy that crosses itself": (
         {"gate": gate("privacy: [[[0, 0], [100, 100], [100, 0], [0, 100]]]")},
         ("from 0, 0 to 100, 100 crosses", "sides 1 and 3"),
@@ -117,10 +121,6 @@ DOUBTED: dict[str, tuple[dict[str, str], tuple[str, ...]]] = {
     "k3 in the place of p1": (
         {"gate": gate("distortion: [-0.2, 0.05, -0.12, 0]")},
         ("-0.12", "0.05"),
-    ),
-    "privacy partly outside": (
-        {"gate": gate("privacy: [[[1200, 10], [1400, 10], [1250, 90]]]")},
-        ("1400", "1280x720", "a part"),
     ),
     "two cameras at one place": ({"roof": GATE.replace("gate", "roof")}, ("gate and roof are stated 0 m apart",)),
     "a world whose y is up": (
