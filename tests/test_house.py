@@ -214,7 +214,8 @@ def test_only_a_few_places_catch_all_exceptions() -> None:
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.ExceptHandler) and (node.type is None or ast.unparse(node.type) in {"Exception", "BaseException"})
     ]
-    broad = [name for name in broad if name != "cache/atomic.py"]  # it removes its temporary file, and raises again
+    # one removes its temporary file and raises again, the other raises in the thread that waits for the answer
+    broad = [name for name in broad if name not in {"cache/atomic.py", "site/captures.py"}]
     assert sorted(broad) == [
         "cli/main.py",
         "cli/run.py",
