@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from .contracts.defaults import NOISE_PX, VIEW_ANGLE_DEG
 from .contracts.reasons import Reason, Rejected
 from .core.cameras import backproject, camera_id, project
 from .core.ground_grid import cell_centres, cells_of, grid_over, ground_axes, preferred_above, quantile_by_cell
@@ -47,8 +48,8 @@ def find_coverage(
     scene: Scene | None = None,
     *,
     cell_m: float | None = None,
-    noise_px: float = 0.35,
-    min_angle_deg: float = 4.0,
+    noise_px: float = NOISE_PX,
+    min_angle_deg: float = VIEW_ANGLE_DEG,
     max_angle_deg: float = 60.0,
 ) -> Coverage | Rejected:
     """Count, for each cell of the ground, the cameras that see it.

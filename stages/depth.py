@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.defaults import NOISE_PX
 from .contracts.reasons import Reason, Rejected
 from .fusion.pair_depth import NoiseModel, fuse_pairs, offset_px, pair_depth
 from .rectification.warping import Side
@@ -19,7 +20,7 @@ def view_depth(
     rectifications: Mapping[Pair, Rectification],
     disparities: Mapping[Pair, Disparity],
     *,
-    noise_px: float = 0.35,
+    noise_px: float = NOISE_PX,
 ) -> DepthMap | Rejected:
     """Depth of one view.
 

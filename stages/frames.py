@@ -24,6 +24,7 @@ from .capture.privacy import blanked, private_area, with_margin
 from .capture.signal import NOISY, Signal, denoised, remaining_noise, repaired, signal_of
 from .capture.straight import CapturePinhole
 from .capture.video import DamagedVideo, all_pictures
+from .contracts.defaults import RESOLUTION
 from .contracts.unknown import known_or_none
 from .io.image_headers import focal_in_long_sides, has_deep_values, largest_stated_value, picture_size, taken_at
 from .types import Bools, Capture, Frame, Lens, Privacy, Uint8s
@@ -37,7 +38,7 @@ def clean_frame(
     mask: Capture | None,
     privacy: Privacy | None = None,
     *,
-    resolution: int | None = 1600,
+    resolution: int | None = RESOLUTION,
     max_captures: int = 15,
     video_step: int = 25,
     overlays: bool = True,

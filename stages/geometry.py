@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from .contracts.defaults import SEED
 from .contracts.reasons import Reason, Rejected
 from .core.epipolar import symmetric_epipolar_distance
 from .matching.candidates import searched_view_pairs
@@ -60,7 +61,7 @@ def estimate_geometry(
     min_area: float = 0.005,
     small_area: float = 0.03,
     min_score: float = -4.0,
-    seed: int = 0,
+    seed: int = SEED,
 ) -> Geometry | Rejected:
     """Estimate the epipolar geometry of a pair and decide whether it can be used.
 

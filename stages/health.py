@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from .contracts.camera_figures import HealthState
+from .contracts.defaults import DARK_LEVELS, FLAT_SHARE, MOVED_DEG, NUDGED_PX
 from .core.luminance import grey_levels
 from .twoview.global_search import search_globally
 from .twoview.registration import Found, Turn, corners, find_again, fit_turn
@@ -106,10 +107,10 @@ def examine(
     pinned_camera: Camera | None = None,
     history: ShiftHistory | None = None,
     *,
-    nudged_px: float = 1.5,
-    moved_deg: float = 0.4,
-    flat: float = 0.9,
-    dark: float = 6.0,
+    nudged_px: float = NUDGED_PX,
+    moved_deg: float = MOVED_DEG,
+    flat: float = FLAT_SHARE,
+    dark: float = DARK_LEVELS,
 ) -> CameraHealth:
     """Compare a camera's frame with that of the reference.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .contracts.defaults import RESOLUTION
 from .frames import clean_frame
 from .types import Capture, Float64s, Frame, Lens
 
@@ -18,7 +19,7 @@ def read_frame(
     distortion: Float64s | None = None,
     hfov_deg: float | None = None,
     mask: str | PathLike[str] | None = None,
-    resolution: int | None = 1600,
+    resolution: int | None = RESOLUTION,
 ) -> Frame:
     """The clean frame of one photograph: upright, undistorted, at working resolution, with intrinsics of its own size.
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .contracts.defaults import EPIPOLAR_ERROR_PX, RAY_ANGLE_DEG, ROTATION_ERROR_DEG
 from .contracts.reasons import Reason, Rejected
 from .contracts.unknown import known_or_none
 from .core.cameras import camera_of
@@ -67,9 +68,9 @@ def solve_poses(
     survey: Survey | None = None,
     frames_if_rough: Mapping[str, Frame] | None = None,
     *,
-    max_rotation_error_deg: float = 4.0,
-    max_epipolar_px: float = 2.0,
-    min_angle_deg: float = 0.7,
+    max_rotation_error_deg: float = ROTATION_ERROR_DEG,
+    max_epipolar_px: float = EPIPOLAR_ERROR_PX,
+    min_angle_deg: float = RAY_ANGLE_DEG,
 ) -> Poses | Rejected:
     """Put the cameras into one world.
 

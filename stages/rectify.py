@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .contracts.defaults import RAY_ANGLE_DEG
 from .contracts.reasons import Reason, Rejected
 from .core.cameras import convergence_deg
 from .core.epipolar import fundamental_from_cameras, symmetric_epipolar_distance, triangulate_depth
@@ -76,7 +77,7 @@ def rectify(
     min_matches: int = 20,
     few_matches: int = 50,
     max_row_error_px: float = 0.5,
-    min_angle_deg: float = 0.7,
+    min_angle_deg: float = RAY_ANGLE_DEG,
     range_margin: float = 0.1,
     **options: object,
 ) -> Rectification | Rejected:

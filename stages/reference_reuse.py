@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .contracts.defaults import EPIPOLAR_ERROR_PX, RAY_ANGLE_DEG, ROTATION_ERROR_DEG
 from .contracts.reasons import Reason, Rejected
 from .core.cameras import same_camera
 from .poses import solve_poses, stated_calibration
@@ -56,9 +57,9 @@ def hold_poses(
     geometries: Mapping[Pair, Geometry],
     survey: Survey | None = None,
     *,
-    max_rotation_error_deg: float = 4.0,
-    max_epipolar_px: float = 2.0,
-    min_angle_deg: float = 0.7,
+    max_rotation_error_deg: float = ROTATION_ERROR_DEG,
+    max_epipolar_px: float = EPIPOLAR_ERROR_PX,
+    min_angle_deg: float = RAY_ANGLE_DEG,
 ) -> Poses | Rejected:
     """The cameras of the reference: those that have turned are corrected, those that were moved or are new are solved.
 

@@ -21,6 +21,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from .contracts.defaults import NOISE_PX, VIEW_ANGLE_DEG
 from .contracts.reasons import Reason, Rejected
 from .core.cameras import backproject, project, ray_angles, scaled_intrinsics, transfer
 from .core.luminance import luminance
@@ -70,10 +71,10 @@ def refine(
     radius: int = 3,
     sweeps: int = 3,
     max_sources: int = 6,
-    min_angle_deg: float = 4.0,
+    min_angle_deg: float = VIEW_ANGLE_DEG,
     max_angle_deg: float = 65.0,
     max_cost: float = 0.4,
-    noise_px: float = 0.35,
+    noise_px: float = NOISE_PX,
 ) -> DepthMap | Rejected:
     """Refine the depth of one view.
 

@@ -9,19 +9,25 @@ from .short_repr import Record
 
 
 @dataclass(frozen=True)
-class CloudFigures(Record):
-    """A point cloud."""
+class CloudSize(Record):
+    """How large and how good a point cloud is."""
 
     points: int = 0
     bounds: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
     """Two opposite corners of its bounding box."""
+    correct_share: float | None = None
+    """Share of the points that is expected to be right; None for a cloud that was read from its file."""
+
+
+@dataclass(frozen=True)
+class CloudFigures(CloudSize):
+    """A point cloud."""
+
     sample_counts: Mapping[str, int] = field(default_factory=dict)
     """Number of samples from each camera's view before merging; empty for a cloud that was read from its file."""
     misfits: Mapping[str, float] = field(default_factory=dict)
     """By view, the median over its samples of their standard deviation, as other views and neighbouring pixels show it,
     divided by the one expected from `noise_px`."""
-    correct_share: float | None = None
-    """Share of the points that is expected to be right; None for a cloud that was read from its file."""
 
 
 @dataclass(frozen=True)

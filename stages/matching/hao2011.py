@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..contracts.defaults import NEIGHBOUR_RATIO
 from ..types import Bools, Features, Float32s, Float64s, Int32s, Matches
 from .matcher import keypoint_matches, plain_rows
 
@@ -40,7 +41,7 @@ def match_hao2011(left: Features, right: Features, *, dominance: float = 0.8) ->
     return keypoint_matches(left, right, rows1[i1], rows2[i2], np.ones(len(i1)))
 
 
-def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
+def match_hao2011_dominance(left: Features, right: Features, *, ratio: float = NEIGHBOUR_RATIO) -> Matches:
     """Match the keypoints of the plain views by `nearest_dominance`; `probability` is 1 - second/best, which is only a ranking.
 
     Parameters

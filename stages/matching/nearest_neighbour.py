@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ..contracts.defaults import NEIGHBOUR_RATIO, SEED
 from ..types import Features, Matches
 from .matcher import keypoint_matches, plain_rows
 from .neighbours import nearest_neighbours
 
 
-def match_mutual(left: Features, right: Features, *, ratio: float = 0.8) -> Matches:
+def match_mutual(left: Features, right: Features, *, ratio: float = NEIGHBOUR_RATIO) -> Matches:
     """Match mutual nearest neighbours of the plain views; `probability` is 1 - first/second distance, which is only a ranking.
 
     Parameters
@@ -38,7 +39,7 @@ _CHECKS = 200
 """Leaves that are visited for each query.  More find the true neighbour more often, and cost time."""
 
 
-def match_kdtree(left: Features, right: Features, *, ratio: float = 0.8, seed: int = 0) -> Matches:
+def match_kdtree(left: Features, right: Features, *, ratio: float = NEIGHBOUR_RATIO, seed: int = SEED) -> Matches:
     """Match nearest neighbours of the plain views (k-d trees); `probability` is 1 - first/second distance, only a ranking.
 
     Parameters

@@ -95,7 +95,7 @@ def record(ids: list[str], run: str = RUN, date: str = "2026-12-09", **changes: 
         400,
         tuple(reported),
         tuple(pairs),
-        CloudRecord("cloud.ply", 900, ((-8.0, -8.0, -1.0), (8.0, 8.0, 2.0))),
+        CloudRecord(900, ((-8.0, -8.0, -1.0), (8.0, 8.0, 2.0)), path="cloud.ply"),
         poses=PosesSummary(),
         verdict=Verdict("degraded", findings),
     )

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from wbflow_stages.contracts.defaults import RESOLUTION
+
 from ..errors import ExitCode, UsageError
 from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
 
@@ -109,7 +111,9 @@ def edit(site: Path, work: str | None) -> None:
 @click.argument("left", type=PATH)
 @click.argument("right", type=PATH)
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the results (and the cache).")
-@click.option("--resolution", type=click.IntRange(min=64), default=1600, metavar="N", help="Long side in pixels to work at.")
+@click.option(
+    "--resolution", type=click.IntRange(min=64), default=RESOLUTION, metavar="N", help="Long side in pixels to work at."
+)
 @jobs_option
 @verbose_option
 def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose: bool) -> None:

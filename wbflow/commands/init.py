@@ -8,6 +8,8 @@ import json
 import sys
 from pathlib import Path
 
+from wbflow_stages.contracts.defaults import RESOLUTION
+
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import Unreadable, is_nobodys, read_untrusted
 from ..errors import UsageError
@@ -96,7 +98,12 @@ def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) ->
             camera_list += f"\n  - {{id: {json.dumps(name)}, images: {images}}}"
     elif len(camera_list) > _LONGEST_LIST:
         camera_list = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
-    return _SITE.format(site=json.dumps(site), pattern=json.dumps(pattern or "{camera}"), cameras=camera_list)
+    return _SITE.format(
+        site=json.dumps(site),
+        pattern=json.dumps(pattern or "{camera}"),
+        cameras=camera_list,
+        resolution=RESOLUTION,
+    )
 
 
 _SITE = """\
@@ -107,7 +114,7 @@ cameras:{cameras}
 # Known intrinsics and poses make the cloud metric and more complete (a JSON file, or a COLMAP text model):
 # calibration: cameras.json
 # Long side in pixels that stages work at:
-resolution: 1600
+resolution: {resolution}
 """
 
 

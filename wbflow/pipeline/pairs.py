@@ -13,6 +13,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from wbflow_stages.contracts.defaults import PAIR_DEGREE, PAIR_MAX_ANGLE_DEG, PAIR_MIN_ANGLE_DEG
+
 from ..task import camera_of
 
 if TYPE_CHECKING:
@@ -88,9 +90,9 @@ class PairGraph:
 def select_pairs(
     overlap: Any,
     *,
-    degree: int = 6,
-    min_angle: float = 4.0,
-    max_angle: float = 60.0,
+    degree: int = PAIR_DEGREE,
+    min_angle: float = PAIR_MIN_ANGLE_DEG,
+    max_angle: float = PAIR_MAX_ANGLE_DEG,
     include: list[list[str]] = [],  # noqa: B006 (a literal, so that the site file is checked without importing; never changed)
     exclude: list[list[str]] = [],  # noqa: B006
 ) -> PairGraph:
@@ -144,9 +146,9 @@ def select_dense_pairs(
     shared: Any,
     pairs: PairGraph,
     *,
-    degree: int = 6,
-    min_angle: float = 4.0,
-    max_angle: float = 60.0,
+    degree: int = PAIR_DEGREE,
+    min_angle: float = PAIR_MIN_ANGLE_DEG,
+    max_angle: float = PAIR_MAX_ANGLE_DEG,
     include: list[list[str]] = [],  # noqa: B006 (a literal, so that the site file is checked without importing; never changed)
     exclude: list[list[str]] = [],  # noqa: B006
 ) -> PairGraph:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, PlainSerializer
 
 from wbflow_stages.contracts.camera_figures import Health
+from wbflow_stages.contracts.ground_figures import CloudSize
 
 from ..json_dataclass import FlatJsonDataclass, JsonDataclass
 from ..pipeline.stages import STAGES
@@ -134,16 +135,11 @@ class PairRecord(FlatJsonDataclass):
 
 
 @dataclass(frozen=True)
-class CloudRecord(JsonDataclass):
+class CloudRecord(CloudSize, JsonDataclass):
     """A cloud of a run."""
 
-    path: str
+    path: str = field(kw_only=True)
     """File of the cloud, relative to the run's folder."""
-    points: int
-    bounds: tuple[tuple[float, ...], tuple[float, ...]]
-    """Two opposite corners of its bounding box."""
-    correct_share: float | None = None
-    """Expected share of correct points."""
 
 
 @dataclass(frozen=True)

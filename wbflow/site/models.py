@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from wbflow_stages.contracts import defaults
 from wbflow_stages.contracts.stated import Survey
 
 from ..cache.layout import WorkFolder
@@ -251,9 +252,9 @@ CameraOrId = Annotated[CameraEntry, BeforeValidator(_parse_camera, json_schema_i
 class Pairs(Section):
     """How the pairs of cameras to match are chosen."""
 
-    degree: int = Field(default=6, ge=1, le=100)
-    min_angle: float = Field(default=4.0, ge=0, lt=180)
-    max_angle: float = Field(default=60.0, gt=0, le=180)
+    degree: int = Field(default=defaults.PAIR_DEGREE, ge=1, le=100)
+    min_angle: float = Field(default=defaults.PAIR_MIN_ANGLE_DEG, ge=0, lt=180)
+    max_angle: float = Field(default=defaults.PAIR_MAX_ANGLE_DEG, gt=0, le=180)
     include: list[CameraPair] = []
     exclude: list[CameraPair] = []
 
@@ -369,10 +370,10 @@ class Notify(Section):
 class Health(Section):
     """Thresholds of the check of each camera against the reference (see `wbflow_stages.health`)."""
 
-    nudged_px: float = Field(default=1.5, gt=0)
-    moved_deg: float = Field(default=0.4, gt=0)
-    flat: float = Field(default=0.9, gt=0, le=1)
-    dark: float = Field(default=6.0, ge=0, le=255)
+    nudged_px: float = Field(default=defaults.NUDGED_PX, gt=0)
+    moved_deg: float = Field(default=defaults.MOVED_DEG, gt=0)
+    flat: float = Field(default=defaults.FLAT_SHARE, gt=0, le=1)
+    dark: float = Field(default=defaults.DARK_LEVELS, ge=0, le=255)
 
 
 class Zone(Section):
@@ -403,7 +404,7 @@ class SiteFile(Section):
     calibration: str | None = None
     distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = []
     control_points: list[ControlPoint] = []
-    resolution: int | None = Field(default=1600, ge=64)
+    resolution: int | None = Field(default=defaults.RESOLUTION, ge=64)
     bounds: Annotated[list[Vector3], Field(min_length=2, max_length=2)] | None = None
     pairs: Pairs = Pairs()
     pin: Literal["auto", "none"] = "auto"

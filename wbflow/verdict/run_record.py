@@ -201,7 +201,7 @@ def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
     for task, state in ended.states.items():
         if task.stage == FUSE and state.usable:
             cloud = summary_of(state, CloudFigures)
-            clouds[task.subject] = CloudRecord(cloud_name(task.subject), cloud.points, cloud.bounds, cloud.correct_share)
+            clouds[task.subject] = CloudRecord(cloud.points, cloud.bounds, cloud.correct_share, path=cloud_name(task.subject))
     return clouds
 
 

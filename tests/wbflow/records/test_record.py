@@ -32,7 +32,7 @@ def some_record() -> RunRecord:
             CameraRecord("roof", "failed", "is dark", "too-dark"),
         ),
         (PairRecord("gate", "roof", "skipped", "why", figures=PairFigures(epipolar_px=0.412345), stage="geometry"),),
-        cloud=CloudRecord("cloud.ply", 1843201, ((0.0, 0.0, 0.0), (1.0, 2.0, 3.123456))),
+        cloud=CloudRecord(1843201, ((0.0, 0.0, 0.0), (1.0, 2.0, 3.123456)), path="cloud.ply"),
         poses=PosesSummary(reprojection_px=0.512345),
     )
 

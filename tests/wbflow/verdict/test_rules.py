@@ -65,7 +65,7 @@ def night(
         peak_rss_mb=1,
         cameras=tuple(cameras),
         pairs=tuple(pairs),
-        cloud=CloudRecord("cloud.ply", points, box) if points else None,
+        cloud=CloudRecord(points, box, path="cloud.ply") if points else None,
         reason=None if points else "only camera gate has a usable capture",
         settings=settings,
     )
