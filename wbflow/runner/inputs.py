@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 
 from ..pipeline.stages import FRAMES, HEALTH, PAIRS, Source, Stage, stage_named
-from ..site.captures import CaptureFile, file_of_stage
+from ..site.captures import CaptureFile, file_of_stage, nothing_matches
 from ..task import Subject, Task, camera_of
 from .night import Night
 from .spec import Files, Input, Joined, Stored, site_input, stored_input
@@ -137,7 +137,7 @@ class Inputs:
         frames = [(view.camera, self.subjects.states.get(Task(FRAMES, (view.id,)))) for view in self.night.site.views]
         usable = list(dict.fromkeys(camera for camera, state in frames if state and state.usable))
         if not usable and all(state and state.code == Cause.NO_CAPTURE for _, state in frames):
-            reason = f"no camera has a usable capture: there is none of this night in {self.night.site.captures.root}"
+            reason = f"no camera has a usable capture of this night: {nothing_matches(self.night.site, self.night.date)}"
             return Impossible(reason, Cause.TOO_FEW_CAMERAS)
         if not usable:
             return Impossible(f"no camera has a usable capture{first_fault}", Cause.TOO_FEW_CAMERAS)

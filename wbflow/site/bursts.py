@@ -28,16 +28,20 @@ def burst_ends(moments: Iterable[datetime.datetime], zone: zoneinfo.ZoneInfo | N
     def absolute(moment: datetime.datetime) -> datetime.datetime:
         return moment.replace(tzinfo=zone or datetime.UTC).astimezone(datetime.UTC)
 
+    # 1. Bursts: captures that follow each other closely.
+    bursts: list[list[datetime.datetime]] = []
+    for moment in sorted(set(moments), key=absolute):
+        if bursts and absolute(moment) - absolute(bursts[-1][-1]) <= BURST_GAP:
+            bursts[-1].append(moment)
+        else:
+            bursts.append([moment])
+    # 2. Those that begin on one day and end on the next.
     ends: BurstEnds = {}
-    burst: list[datetime.datetime] = []
-    for moment in [*sorted(set(moments), key=absolute), None]:
-        if moment is not None and (not burst or absolute(moment) - absolute(burst[-1]) <= BURST_GAP):
-            burst.append(moment)
-            continue
-        first, last = burst[0] if burst else None, burst[-1] if burst else None
-        if first and last and first.date() < last.date() and absolute(last) - absolute(first) <= LONGEST_BURST:
+    for burst in bursts:
+        first = burst[0]
+        last = burst[-1]
+        if first.date() < last.date() and absolute(last) - absolute(first) <= LONGEST_BURST:
             ends[last.date()] = last
-        burst = [moment] if moment is not None else []
     return ends
 
 

@@ -18,7 +18,7 @@ from ..cache.memo import Digests
 from ..cache.untrusted import find_untrusted, is_file
 from ..errors import UsageError, WbflowError
 from ..words import printable
-from .bursts import burst_ends, neighbours, night_of
+from .bursts import BurstEnds, burst_ends, neighbours, night_of
 from .models import Camera, Site
 
 
@@ -84,13 +84,16 @@ class Reader:
 
 def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
     """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
-    reader, seconds = Reader(), ANSWER_SECONDS
+    reader = Reader()
+    seconds = ANSWER_SECONDS
     for camera, read in reads:
         try:
             yield camera, reader.read(read, seconds)
         except TimeoutError as error:
+            # the thread waits for the disk, perhaps for ever; the next cameras get another one, and less time
             reader.close()
-            reader, seconds = Reader(), REDUCED_ANSWER_SECONDS
+            reader = Reader()
+            seconds = REDUCED_ANSWER_SECONDS
             yield camera, error
     reader.close()
 
@@ -131,21 +134,37 @@ def night(site: Site, date: datetime.date | None) -> datetime.date:
     today = site.today()
     if date is not None:
         return date
-    candidates = nights_with_captures(site) if site.captures.dated else _days_written(site, today)
-    return max((d for d in candidates if d <= today + datetime.timedelta(days=1)), default=max(candidates, default=today))
+    if site.captures.dated:
+        candidates = nights_with_captures(site)
+    else:
+        candidates = _days_written(site, today)
+    if not candidates:
+        return today
+    # tomorrow: a camera's clock may be in a time zone further east
+    tomorrow = today + datetime.timedelta(days=1)
+    believable = [candidate for candidate in candidates if candidate <= tomorrow]
+    return max(believable or candidates)
 
 
 def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
     """The days on which the newest capture of each camera was written."""
 
-    def read(camera: Camera) -> set[datetime.date]:
-        times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
-        return {site.local(max(times)).date()} if times else set()
-
     if site.captures.store:  # these files have the times of their download
         return set()
-    answers = _results_by_camera((camera.id, functools.partial(read, camera)) for camera in site.cameras)
-    return {date for _, dates in answers if not isinstance(dates, TimeoutError) for date in dates}
+    days: set[datetime.date] = set()
+    reads = ((camera.id, functools.partial(_day_written, site, camera, today)) for camera in site.cameras)
+    for _, answer in _results_by_camera(reads):
+        if not isinstance(answer, TimeoutError):
+            days |= answer
+    return days
+
+
+def _day_written(site: Site, camera: Camera, today: datetime.date) -> set[datetime.date]:
+    """The day on which the newest capture of one camera was written; empty if it has none."""
+    times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
+    if not times:
+        return set()
+    return {site.local(max(times)).date()}
 
 
 def _paths(site: Site, camera: Camera, date: datetime.date) -> list[Path]:
@@ -227,13 +246,18 @@ def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Pat
     """Each camera's files of a night; and why they could not be listed, by camera, where a disk hangs."""
     listings: dict[str, _Listing] = {}
     faults: dict[str, str] = {}
-    for name, answer in _results_by_camera((c.id, functools.partial(_listing, site, c, date)) for c in site.cameras):
+    reads = ((camera.id, functools.partial(_listing, site, camera, date)) for camera in site.cameras)
+    for name, answer in _results_by_camera(reads):
         if isinstance(answer, TimeoutError):
             faults[name] = str(answer)
         else:
             listings[name] = answer
-    moments = {moment for listing in listings.values() for moment in listing.values()}
-    ends = burst_ends(moments, site.zone) if site.captures.timed else {}
+    ends: BurstEnds = {}
+    if site.captures.timed:
+        moments: set[datetime.datetime] = set()
+        for listing in listings.values():
+            moments |= set(listing.values())
+        ends = burst_ends(moments, site.zone)
     paths: dict[str, list[Path]] = {}
     for camera, listing in listings.items():
         paths[camera] = [path for path, moment in listing.items() if night_of(moment, ends) == date]
@@ -241,6 +265,7 @@ def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Pat
 
 
 def _listing(site: Site, camera: Camera, date: datetime.date) -> _Listing:
+    """The files of a camera with the dates around a night, as only the time in a name says which night it belongs to."""
     noon = datetime.time(12)  # of files without a valid time: they belong to their date
     if camera.images is not None or not site.captures.timed:
         return dict.fromkeys(_paths(site, camera, date), datetime.datetime.combine(date, noon))
@@ -267,6 +292,7 @@ def files_there(site: Site) -> list[str]:
     """The names, below the captures' root, of a few files that are there, for a message that none of them is a capture."""
     root = str(site.captures.root)
     names: list[str] = []
+    # lazily: the folder may hold a million files
     for name in find_untrusted(str(Path(glob.escape(root)) / "**")):
         if is_file(Path(name)):
             names.append(printable(name.removeprefix(f"{root}/"), 120))
@@ -291,9 +317,9 @@ def expected(site: Site, camera: Camera, date: datetime.date) -> str:
 def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
     """The files that the site file names: masks by camera id, and files of stages by `file_of_stage`."""
     paths = {camera.id: camera.mask for camera in site.cameras if camera.mask}
-    paths |= {
-        file_of_stage(stage, name): path for stage, settings in site.stages.items() for name, path in settings.files.items()
-    }
+    for stage, settings in site.stages.items():
+        for name, path in settings.files.items():
+            paths[file_of_stage(stage, name)] = path
     return {key: _with_digest(path.name, path, digests) for key, path in paths.items()}
 
 
@@ -307,7 +333,10 @@ def _with_digest(name: str, path: Path, digests: Digests) -> CaptureFile:
     try:
         return CaptureFile(printable(name), path, digests.of(path))
     except (OSError, ValueError) as error:
-        reason = error.what if isinstance(error, WbflowError) else getattr(error, "strerror", None) or str(error)
+        if isinstance(error, WbflowError):
+            reason = error.what
+        else:
+            reason = getattr(error, "strerror", None) or str(error)
         return CaptureFile(printable(name), path, "", printable(reason))
 
 
@@ -327,14 +356,19 @@ def when_complete(
     A capture counts as complete when nothing was written to it for `QUIET_SECONDS`.
     """
     end = time.monotonic() + MOST_WAIT_SECONDS
-    waited: set[Path] = set()
-    files = [file for group in captures.values() for file in group if file.digest]
-    while (growing := {file.path for file in files if _is_written(file.path)}) and time.monotonic() < end:
-        waited |= growing
-        files = [file for file in files if file.path in growing]
+    readable = [file.path for files in captures.values() for file in files if file.digest]
+    growing = {path for path in readable if _is_written(path)}
+    waited_for = set(growing)
+    # a file that was quiet once is complete: only those that were still growing are looked at again
+    while growing and time.monotonic() < end:
         time.sleep(_POLL_SECONDS)
-    now = {name: [with_current_digest(f, digests) if f.path in waited else f for f in group] for name, group in captures.items()}
-    return now, frozenset(growing)
+        growing = {path for path in growing if _is_written(path)}
+    complete: dict[str, list[CaptureFile]] = {}
+    for name, files in captures.items():
+        complete[name] = []
+        for file in files:
+            complete[name].append(with_current_digest(file, digests) if file.path in waited_for else file)
+    return complete, frozenset(growing)
 
 
 def _is_written(path: Path) -> bool:
@@ -352,11 +386,21 @@ def changes_of(captures: Mapping[str, list[CaptureFile]], replaced: Collection[P
 
     replaced: files already known to have been replaced.
     """
+    changes: dict[str, list[str]] = {}
+    reads = ((camera, functools.partial(_changed_names, files, replaced, digests)) for camera, files in captures.items())
+    for camera, names in _results_by_camera(reads):
+        # a mount that has died since is no evidence of a change
+        if names and not isinstance(names, TimeoutError):
+            changes[camera] = names
+    return changes
 
-    def changed_names(files: list[CaptureFile]) -> list[str]:
-        digests_now = {f.name: with_current_digest(f, digests).digest or f.digest for f in files if f.digest}
-        return [f.name for f in files if f.digest and (f.path in replaced or digests_now[f.name] != f.digest)]
 
-    answers = _results_by_camera((camera, functools.partial(changed_names, files)) for camera, files in captures.items())
-    # a mount that has died since is no evidence of a change
-    return {camera: names for camera, names in answers if names and not isinstance(names, TimeoutError)}
+def _changed_names(files: list[CaptureFile], replaced: Collection[Path], digests: Digests) -> list[str]:
+    names: list[str] = []
+    for file in files:
+        if not file.digest:
+            continue
+        digest_now = with_current_digest(file, digests).digest
+        if file.path in replaced or (digest_now and digest_now != file.digest):
+            names.append(file.name)
+    return names

@@ -31,14 +31,25 @@ class LocalFrame:
 
 def origin_of(crs: str) -> list[float] | None:
     """Latitude, longitude and height of the origin of a coordinate system; None for a local one."""
-    parameters = dict(word.lstrip("+").split("=", 1) for word in crs.split() if "=" in word)
-    return [float(parameters[key]) for key in ("lat_0", "lon_0", "h_0")] if {"lat_0", "lon_0", "h_0"} <= set(parameters) else None
+    parameters: dict[str, str] = {}
+    for word in crs.split():  # such as +lat_0=53.5
+        name, equals, value = word.lstrip("+").partition("=")
+        if equals:
+            parameters[name] = value
+    keys = ("lat_0", "lon_0", "h_0")
+    if not parameters.keys() >= set(keys):
+        return None
+    return [float(parameters[key]) for key in keys]
 
 
 def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
     """The local frame of a site's geodetic positions; None if there are none."""
-    positions: dict[Location, Position] = {("cameras", k, "pose"): c.pose for k, c in enumerate(file.cameras) if c.pose}
-    positions |= {("control_points", k): point for k, point in enumerate(file.control_points)}
+    positions: dict[Location, Position] = {}
+    for k, camera in enumerate(file.cameras):
+        if camera.pose:
+            positions["cameras", k, "pose"] = camera.pose
+    for k, point in enumerate(file.control_points):
+        positions["control_points", k] = point
     geodetic = {location: position.geodetic for location, position in positions.items() if position.geodetic}
     if not geodetic:
         return None
@@ -46,6 +57,7 @@ def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
     if local:
         what = "x, y, z here, but latitude and longitude elsewhere: the transformation between the two is unknown"
         problems.add(local[0], what, POSITION_REMEDY)
+    # the first one is the origin, so that adding a camera at the end moves nothing
     location, origin = next(iter(geodetic.items()))
     try:
         return LocalFrame(*origin)

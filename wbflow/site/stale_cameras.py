@@ -77,9 +77,13 @@ def find_stale(
     if not site.captures.dated and all(health.figures["earlier"] for health in repeated.values()):
         # names without a date: if no camera has a new capture, the same pictures are processed again on purpose
         with_files = {camera for camera, files in captures.items() if files}
-        repeated = {} if with_files <= set(repeated) else repeated
-    for camera_id, note in _apart_notes(site, fresh.captures).items():
-        fresh.notes[camera_id] = "; ".join(filter(None, (fresh.notes.get(camera_id), note)))
+        if with_files <= set(repeated):
+            repeated = {}
+    for name, files in fresh.captures.items():
+        gap = gap_of(site, name, files)
+        if gap is not None:
+            note = f"{gap}; they are merged all the same"
+            fresh.notes[name] = f"{fresh.notes[name]}; {note}" if name in fresh.notes else note
     fresh.stale = {**_find_far_off(site, fresh.captures), **repeated}
     return fresh
 
@@ -94,7 +98,10 @@ def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digest
         days = {moment.date() for moment in pattern.moments(camera.id)}
         previous = max((day for day in days if day < date), default=None)
         if previous is not None and str(previous) not in night_of.values():
-            night_of |= {file.digest: str(previous) for file in captures_dated(site, camera, previous, digests) if file.digest}
+            # that night was not run here, so its captures are known from the disk alone
+            for file in captures_dated(site, camera, previous, digests):
+                if file.digest:
+                    night_of[file.digest] = str(previous)
     return night_of
 
 
@@ -113,12 +120,14 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
     readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
     if not readable:
         return _Search(files)
+    # the first file of each content
     first_of = {file.digest: file for file in reversed(readable)}
     distinct = [file for file in readable if first_of[file.digest] is file]
     new = [file for file in distinct if file.digest not in earlier]
     figures = {"captures": len(readable), "different": len(distinct), "earlier": len(distinct) - len(new)}
     if not new:
-        text = f"its captures are the same as those of {max(earlier[digest] for digest in first_of)}: the picture is frozen"
+        last_night = max(earlier[digest] for digest in first_of)
+        text = f"its captures are the same as those of {last_night}: the picture is frozen"
         return _Search(distinct, Health("stale", text, figures, {"earlier": 0}, _REMEDY))
     usable = [file for file in files if file not in readable or file in new]
     if len(distinct) == 1 and len(readable) > 1:
@@ -130,19 +139,9 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
     return _Search(usable, note=f"{left_out} of {len(readable)} captures come again, or are of an earlier night; left out")
 
 
-def _apart_notes(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, str]:
-    """Remarks on cameras whose captures of the night are hours apart, which are merged all the same."""
-    notes: dict[str, str] = {}
-    for camera, files in captures.items():
-        gap = gap_of(site, camera, files)
-        if gap is not None:
-            notes[camera] = f"{gap}; they are merged all the same"
-    return notes
-
-
 def gap_of(site: Site, camera: str, files: Iterable[CaptureFile]) -> str | None:
     """The gap, in words, between captures of a night that are hours apart by their names; None if there is none."""
-    moments = [moment for file in files if (moment := site.captures.moment(camera, file.path))]
+    moments = _moments(site, camera, files)
     gap = longest_gap(moments)
     if gap is None or _in_hours(gap[1] - gap[0]) <= APART_HOURS:
         return None
@@ -153,12 +152,12 @@ def gap_of(site: Site, camera: str, files: Iterable[CaptureFile]) -> str | None:
 
 def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict[str, Health]:
     """Cameras whose captures, by the times in their names, were taken at another time of day than the other cameras'."""
-    pattern = site.captures
     hours: dict[str, float] = {}
     for camera, files in captures.items():
-        moments = [moment for file in files if (moment := pattern.moment(camera, file.path))]
+        moments = _moments(site, camera, files)
         if moments:
             hours[camera] = _median_hour([m.hour + m.minute / 60 + m.second / 3600 for m in moments])
+    # of two cameras that differ, either may be wrong
     if len(hours) < 3:
         return {}
     healths = {}
@@ -166,9 +165,20 @@ def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict
     for camera, camera_hour in hours.items():
         lag = _hour_difference(camera_hour, usual)
         if abs(lag) > FAR_OFF_HOURS:
-            text = f"its captures were taken {abs(lag):.1f} hours {'after' if lag > 0 else 'before'} those of the other cameras"
+            direction = "after" if lag > 0 else "before"
+            text = f"its captures were taken {abs(lag):.1f} hours {direction} those of the other cameras"
             healths[camera] = Health("stale", text, {"hours_off": lag}, {"hours_off": FAR_OFF_HOURS}, _CLOCK_REMEDY)
     return healths
+
+
+def _moments(site: Site, camera: str, files: Iterable[CaptureFile]) -> list[datetime.datetime]:
+    """When captures were taken, by the times in their names; those without a time are left out."""
+    moments: list[datetime.datetime] = []
+    for file in files:
+        moment = site.captures.moment(camera, file.path)
+        if moment is not None:
+            moments.append(moment)
+    return moments
 
 
 def _hour_difference(hour: float, other: float) -> float:
@@ -177,8 +187,12 @@ def _hour_difference(hour: float, other: float) -> float:
 
 
 def _median_hour(hours: list[float]) -> float:
-    """The median time of day: the one with the smallest sum of distances to all others."""
-    return min(hours, key=lambda hour: sum(abs(_hour_difference(hour, other)) for other in hours))
+    """The median time of day: the one with the smallest sum of distances to all others, as hours have no first and last."""
+
+    def distances(hour: float) -> float:
+        return sum(abs(_hour_difference(hour, other)) for other in hours)
+
+    return min(hours, key=distances)
 
 
 def night_by_pictures(frames: Iterable[FrameFigures]) -> str:
@@ -186,11 +200,14 @@ def night_by_pictures(frames: Iterable[FrameFigures]) -> str:
 
     Used if names contain no date: then old photographs are not stale, only those that differ from the majority.
     """
-    moments = sorted(times[-1] for frame in frames if (times := _capture_times(frame)))
-    median = moments[len(moments) // 2] if moments else None
-    if median is None or 2 * sum(abs(_in_hours(moment - median)) <= NIGHT_HOURS for moment in moments) <= len(moments):
+    last_times = [times[-1] for times in map(_capture_times, frames) if times]
+    if not last_times:
         return ""
-    return str(median.date())
+    last_times.sort()
+    median = last_times[len(last_times) // 2]
+    of_that_night = [moment for moment in last_times if abs(_in_hours(moment - median)) <= NIGHT_HOURS]
+    is_majority = 2 * len(of_that_night) > len(last_times)
+    return str(median.date()) if is_majority else ""
 
 
 def stale_by_image(frame: FrameFigures, night: str, in_order: bool) -> Health | None:
