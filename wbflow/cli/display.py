@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ..records.events import Event, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
+from ..records.events import Event, OutputEvent, PlannedEvent, Signal, StartedEvent, TaskEvent, WarningEvent
 from ..task import Task
 from ..words import printable
 from .common import LONGEST_TEXT, echo
@@ -76,6 +76,8 @@ class Display:
 
     def receive(self, event: Event | Signal) -> None:
         """Show an event."""
+        if isinstance(event, OutputEvent):  # for the log alone
+            return
         if isinstance(event, PlannedEvent):
             self._plan(event)
         elif isinstance(event, StartedEvent):

@@ -67,6 +67,17 @@ class WarningEvent:
 
 
 @dataclass(frozen=True)
+class OutputEvent:
+    """What a task, or a library that it uses, has printed.  Logged, and not sent to listeners."""
+
+    task: Task
+    what: str
+    """The text; line ends are escaped."""
+    at: str
+    """Time of the end of the task's chain, ISO 8601, UTC."""
+
+
+@dataclass(frozen=True)
 class PlannedEvent:
     """The plan was updated.  Sent to listeners only, not logged."""
 
@@ -81,7 +92,7 @@ class StartedEvent:
     task: Task
 
 
-Event = TaskEvent | WarningEvent
+Event = TaskEvent | WarningEvent | OutputEvent
 """An event that is logged."""
 
 Signal = PlannedEvent | StartedEvent
@@ -91,7 +102,7 @@ Listener = Callable[[Event | Signal], None]
 """Receives every event and signal as it happens."""
 
 
-_KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent}
+_KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent, "output": OutputEvent}
 
 
 def event_to_json(event: Event) -> dict[str, Any]:

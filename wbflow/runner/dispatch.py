@@ -19,7 +19,7 @@ from ..errors import WbflowError
 from ..records.events import StartedEvent
 from ..records.ledger import read_costs
 from ..task import Task
-from ..words import printable
+from ..words import LONGEST_TRACE, printable
 from .executors import Cluster, CodeMismatch, Processes, WorkerLost
 from .journal import Journal
 from .limits import Limits, machine_memory
@@ -30,6 +30,10 @@ from .worker import FinishedTask, run_chain
 
 PROGRESS_SECONDS = 0.5
 """Interval at which the progress files of running chains are read."""
+
+
+_BEGUN = re.compile(r"^\x1ebegun (\d{1,9})\n", re.MULTILINE)
+"""How a progress file says that a task has begun; what follows was printed by it, or written by `faulthandler`."""
 
 
 @dataclass
@@ -52,11 +56,24 @@ class _Submitted:
             text = self.progress.read_text(errors="replace")
         except OSError:
             return False, ""
-        *_, last = [None, *re.finditer(r"^begun (\d+)\n", text, re.MULTILINE)]
-        if last is None:
-            return False, printable(text)
-        previous, self.at_work = self.at_work, int(last[1])
-        return self.at_work != previous, printable(text[last.end() :])
+        begun = list(_BEGUN.finditer(text))
+        if not begun:
+            return False, printable(text.strip())
+        last = begun[-1]
+        previous, self.at_work = self.at_work, min(int(last[1]), len(self.specs) - 1)
+        return self.at_work != previous, printable(text[last.end() :].strip(), LONGEST_TRACE)
+
+    def output(self) -> Iterator[tuple[Task, str]]:
+        """What libraries have printed during each task, for tasks that they printed something in."""
+        try:
+            text = self.progress.read_text(errors="replace")
+        except OSError:
+            return
+        # before the first task, number, text, number, text, ...
+        _, *parts = _BEGUN.split(text)
+        for number, printed in zip(parts[::2], parts[1::2], strict=True):
+            if printed.strip():
+                yield self.tasks[min(int(number), len(self.specs) - 1)], printable(printed.strip(), LONGEST_TRACE)
 
 
 class Dispatcher:
@@ -156,6 +173,8 @@ class Dispatcher:
             names = ", ".join(map(str, chain.tasks))
             reason = printable(f"{names}: {type(error).__name__}: {error}")
             yield FinishedTask(chain.tasks[0], State("failed", reason, Cause.WORKER_LOST, fresh=True))
+        for task, printed in chain.output():
+            self._journal.add_output(task, printed)
         chain.progress.unlink(missing_ok=True)
 
     def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[FinishedTask]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from ..cache.store import Damage, Receipt
-from ..records.events import Event, Listener, TaskEvent, WarningEvent, now
+from ..records.events import Event, Listener, OutputEvent, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds
 from ..task import Task
@@ -62,6 +62,10 @@ class Journal:
             The task that it concerns, and the traceback of an unexpected error.
         """
         self._add(WarningEvent(what, now(), task, remedy, trace))
+
+    def add_output(self, task: Task, text: str) -> None:
+        """Add to the log, without showing it, what libraries have printed during a task."""
+        self.events.append(OutputEvent(task, text, now()))
 
     def note_damage(self, damages: Iterable[Damage]) -> None:
         """Add warnings of damage that was found in the cache."""

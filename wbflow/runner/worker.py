@@ -12,6 +12,7 @@ import faulthandler
 import functools
 import os
 import resource
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -59,19 +60,23 @@ def progress_reporter(path: Path, time_limits: Mapping[str, float] | None) -> It
     """A function that writes `begun NUMBER` to a small file for each task: the run knows the task even if the worker is lost.
 
     It takes the number and the stage of a task.  `faulthandler` writes to the same file if the process crashes, or if a task
-    exceeds its time limit: it then ends the process, even if Python hangs.  time_limits: seconds by stage; None if the process
-    also does other work, and must not be ended.
+    exceeds its time limit: it then ends the process, even if Python hangs.  So does, for the run's log, whatever prints to stdout
+    or stderr meanwhile: libraries of images and videos write there, and cron would mail it every night.  time_limits: seconds by
+    stage; None if the process also does other work, and must be neither ended nor silenced.
     """
     try:
-        file = path.open("w")
+        file = path.open("a")  # every writer appends: none overwrites what another one has written
     except OSError:  # a full disk; the tasks report it themselves
-        file = NO_FILE.open("w")
+        file = NO_FILE.open("a")
+    restore: Callable[[], None] | None = None
     if time_limits is not None:
         faulthandler.enable(file)
+        restore = _redirect_output(file.fileno())
 
     def begin(number: int, stage: str) -> None:
         with suppress(OSError):
-            file.write(f"begun {number}\n")
+            # on a line of its own, whatever a library has left unfinished; no library prints the record separator \x1e
+            file.write(f"\n\x1ebegun {number}\n")
             file.flush()
         if time_limits is not None:
             faulthandler.dump_traceback_later(time_limits[stage], exit=True, file=file)
@@ -82,8 +87,27 @@ def progress_reporter(path: Path, time_limits: Mapping[str, float] | None) -> It
         if time_limits is not None:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
+        if restore is not None:
+            restore()
         with suppress(OSError):
             file.close()
+
+
+def _redirect_output(target: int) -> Callable[[], None]:
+    """Send this process's stdout and stderr, of C libraries too, to a file descriptor; returns a function that undoes it."""
+    saved = {number: os.dup(number) for number in (1, 2)}
+    for number in saved:
+        os.dup2(target, number)
+
+    def restore() -> None:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError, AttributeError):  # closed, or None
+                stream.flush()
+        for number, original in saved.items():
+            os.dup2(original, number)
+            os.close(original)
+
+    return restore
 
 
 @dataclass

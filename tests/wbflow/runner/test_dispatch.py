@@ -215,3 +215,43 @@ def test_an_invalid_memory_limit_is_refused(toy: ToySite) -> None:
     result = toy.wbflow("run", "--memory", "4 apples")
     assert result.returncode == 2
     assert "--memory: '4 apples' is not a size" in result.stderr
+
+
+LOUD = '''
+import os, sys
+from toy_stages import detect as well
+
+def detect(frame):
+    """Prints as libraries do: on the descriptors of the process, and as Python does, and leaves a line unfinished."""
+    os.write(2, b"Corrupt JPEG data: 40 extraneous bytes\\n")
+    os.write(1, b"[h264 @ 0x55] error while decoding MB\\n")
+    print("in Python")
+    print("begun 7", file=sys.stderr)
+    sys.stderr.flush()
+    os.write(2, b"libpng warning: unfinished")
+    return well(frame)
+'''
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_what_libraries_print_is_in_the_log_and_nowhere_else(toy: ToySite, jobs: str) -> None:
+    (toy.folder / "loud_stage.py").write_text(LOUD)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "loud_stage:detect"}
+    toy.file.write_text(json.dumps(site))
+    result = toy.wbflow("run", "-q", "--jobs", jobs)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    log = [json.loads(line) for line in (toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()]
+    printed = {line["task"]: line["what"] for line in log if line["event"] == "output"}
+    assert set(printed) == {f"features {camera}" for camera in toy.cameras}
+    for text in printed.values():
+        for words in ("40 extraneous bytes", "error while decoding MB", "in Python", "libpng warning: unfinished"):
+            assert words in text
+    assert toy.wbflow("report").returncode == 0
+
+
+def test_what_a_lost_worker_has_printed_is_in_the_log(wicked: ToySite) -> None:
+    (wicked.folder / "wicked_stage.py").write_text(WICKED.replace("os._exit(3)", 'os.write(2, b"terminate called"), os._exit(3)'))
+    behave(wicked, "leave")
+    wicked.run("--jobs", "1", code=3)
+    assert "terminate called" in (wicked.work / "runs" / "latest" / "log.jsonl").read_text()
