@@ -198,8 +198,7 @@ def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -
         else:
             for k in members:
                 lenses[k] = k
-                # the first view keeps the common value
-                K[k] = _centred_K(views[k], shared_focal[k] if k == members[0] else own_focal[k])
+                K[k] = _centred_K(views[k], own_focal[k])
     return Lenses(dict(sorted(K.items())), lenses)
 
 
