@@ -12,6 +12,8 @@ LONGEST_TRACE = 8000
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Characters to escape: controls other than newline and tab, line separators and bidirectional marks, and lone surrogates."""
 
+DISK_FULL_REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
+
 
 def printable(text: object, most: int = LONGEST) -> str:
     """Return text from outside (a file name, an id, a stage's exception) in a form that is safe to show, log and publish.

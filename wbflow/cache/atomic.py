@@ -9,11 +9,14 @@ import shutil
 from pathlib import Path
 
 from ..errors import WbflowError
-from ..words import format_size
+from ..words import DISK_FULL_REMEDY, format_size
 
 DISK_FULL_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Error numbers of a full disk: no space left, the user's quota exceeded, the file-size limit exceeded."""
-DISK_FULL_REMEDY = "free some space (wbflow clean SITE.yaml --keep 3), or limit what is kept (`keep:` in the site file)"
+
+
+UNSUPPORTED_ERRORS = frozenset({errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EPERM, errno.EINVAL})
+"""Error numbers with which file systems refuse what they lack: symbolic links, and syncing a folder (SMB, FAT, exFAT, FUSE)."""
 
 
 def write_atomic(path: Path, data: bytes | bytearray, *, durable: bool = True, own_path: bool = False) -> None:
@@ -65,6 +68,9 @@ def sync_folder(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in UNSUPPORTED_ERRORS:
+            raise
     finally:
         os.close(descriptor)
 

@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..task import Task
-from .atomic import clear, sync_folder
+from .atomic import UNSUPPORTED_ERRORS, clear, sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
 _UNFINISHED = ".tmp"
+_LONGEST_ID = 64
+"""A file in place of a link is read only if it has fewer bytes: it holds the id of a run."""
 
 
 def run_id(moment: datetime.datetime) -> str:
@@ -86,9 +88,9 @@ class WorkFolder:
         self.runs = self.root / "runs"
         """runs/<run id>/: the published results of each run, for people and programs."""
         self.latest = self.runs / "latest"
-        """A link to the newest run, whatever its outcome."""
+        """A link to the run of the newest night, whatever its outcome; a file that names it where there are no symbolic links."""
         self.latest_good = self.runs / "latest-good"
-        """A link to the newest run with a cloud whose verdict is good or degraded."""
+        """The same for the newest run with a cloud whose verdict is good or degraded."""
         self.reference = self.root / "reference"
         """The reference that nights are compared with, and copies of its artifacts under the same names as in the cache."""
         self.reference_record = self.reference / "reference.json"
@@ -198,20 +200,32 @@ class WorkFolder:
         names = [path.name for path in self.runs.glob("*") if path.name not in links and not path.is_symlink()]
         return sorted(name for name in names if not name.startswith(".") and self.run(name).record.is_file())
 
+    def folds_case(self) -> bool:
+        """Does the file system take names that differ in case alone as one name?  The caller holds the lock."""
+        other = self.lock.with_name(self.lock.name.upper())
+        return other.exists() and other.samefile(self.lock)
+
     def links(self) -> list[Path]:
-        """Return all links in the folder of runs."""
-        return [path for path in self.runs.glob("*") if path.is_symlink()]
+        """Return all links in the folder of runs, and the files that stand for links."""
+        named = (self.latest, self.latest_good)
+        return [path for path in self.runs.glob("*") if path.is_symlink() or (path in named and path.is_file())]
 
     def link_target(self, link: Path) -> str | None:
         """Return the id of the run that a link points to; None if there is no link, or its target is not a published run."""
-        name = link.readlink().name if link.is_symlink() else None
+        name = None
+        if link.is_symlink():
+            name = link.readlink().name
+        elif link.is_file() and link.stat().st_size < _LONGEST_ID:
+            text = link.read_text(errors="replace").strip()
+            name = text if started_by(text) else None
         return name if name and self.run(name).record.is_file() else None
 
     def point_link(self, link: Path, run: str) -> None:
         """Point a link such as `latest` to a run with one rename, so that a reader sees either the old run or the new one.
 
         Nothing is ever written or removed through the link.  If a folder is in its place, as in a copy of the work folder, it is
-        moved to the quarantine.  Raises OSError.
+        moved to the quarantine.  Where the file system has no symbolic links (SMB, FAT, exFAT), a file with the run's id takes
+        its place.  Raises OSError.
         """
         new_link = self.unfinished_run(link.name).folder
         clear(new_link)
@@ -219,7 +233,12 @@ class WorkFolder:
             self.quarantine.mkdir(parents=True, exist_ok=True)
             places = (self.quarantine / f"{link.name}-{number}" for number in itertools.count(1))
             link.rename(next(place for place in places if not place.exists()))
-        new_link.symlink_to(run)
+        try:
+            new_link.symlink_to(run)
+        except OSError as error:
+            if error.errno not in UNSUPPORTED_ERRORS:
+                raise
+            new_link.write_text(f"{run}\n")
         new_link.replace(link)
         sync_folder(self.runs)
 

@@ -19,6 +19,7 @@ from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
+from ..runner.disk import night_bytes
 from ..runner.night import Night
 from ..runner.options import Options
 from ..runner.tonight import read_night
@@ -27,7 +28,7 @@ from ..site.models import Camera, Site
 from ..site.plausibility import polygon_outside
 from ..site.stale_cameras import gap_of
 from ..site.yaml_document import Problem
-from ..words import counted, printable
+from ..words import DISK_FULL_REMEDY, counted, format_size, printable
 
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -38,9 +39,6 @@ DEBIAN_PACKAGES = {
     "libgomp.so.1": "libgomp1",
 }
 """Shared libraries that open3d needs and the Debian packages that hold them."""
-
-BYTES_PER_PIXEL = 40
-"""Disk space that a night takes in the cache, for each pixel of each camera at working resolution (measured, generous)."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +58,10 @@ def check(site: Site, date: datetime.date | None, network: bool = True) -> list[
     doubts = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
     machine = check_machine()
     if machine:
-        return doubts + machine + _disk(site)
+        return doubts + machine
     night = read_night(site, Options(date))
     cameras = check_urls(site) if network else []
-    return [*doubts, *check_captures(site, night), *cameras, *_disk(site), *check_published(site.work_folder)]
+    return [*doubts, *check_captures(site, night), *cameras, *check_disk(night), *check_published(site.work_folder)]
 
 
 def _headed(problem: Problem) -> str:
@@ -236,11 +234,12 @@ def check_published(work: WorkFolder) -> list[Fault]:
     return faults
 
 
-def _disk(site: Site) -> list[Fault]:
-    free = free_bytes(site.work_folder.root)
-    width = site.settings.resolution or 4000
-    needed = len(site.cameras) * width * width * 2 // 3 * BYTES_PER_PIXEL
+def check_disk(night: Night) -> list[Fault]:
+    """Is there space for one more night?"""
+    root = night.cache.work.root
+    free = free_bytes(root)
+    needed = night_bytes(night)
     if free > needed:
         return []
-    what = f"{site.work_folder.root} has {free / 1e9:.1f} GB free; a night of this site takes about {needed / 1e9:.1f} GB"
-    return [Fault("warning", what, "free some space: wbflow clean SITE.yaml --keep 3", ExitCode.FAILED)]
+    what = f"{root} has {format_size(free)} free; a night of this site takes about {format_size(needed)}"
+    return [Fault("warning", what, DISK_FULL_REMEDY, ExitCode.FAILED)]

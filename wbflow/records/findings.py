@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, model_serializer
 
 from ..json_dataclass import JsonDataclass
+from ..words import DISK_FULL_REMEDY
 
 Figures = Mapping[str, Any]
 """Reported figures of a camera, a pair, a night or the world by name: numbers, strings, and mappings of these."""
@@ -116,6 +117,18 @@ FINDINGS: Mapping[str, FindingType] = {
             "fix the cameras and pairs that the report names, then run it again",
             "no cloud: {reason}",
             level="failed",
+        ),
+        FindingType(
+            "disk-full",
+            "The disk was full, and the run made no cloud.",
+            DISK_FULL_REMEDY,
+            "no cloud: {reason}",
+            level="failed",
+        ),
+        FindingType(
+            "disk-short",
+            "The disk was full for some of the tasks.",
+            DISK_FULL_REMEDY,
         ),
         FindingType(
             "store-behind",

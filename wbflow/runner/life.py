@@ -13,6 +13,7 @@ from typing import Any
 from ..cache.atomic import disk_fault
 from ..cache.layout import WorkFolder
 from ..cache.lock import claim
+from ..errors import UsageError
 from ..pipeline.stages import FRAMES
 from ..records.events import Listener
 from ..records.finished_run import Run
@@ -54,6 +55,7 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
     try:
         # only the holder of the lock writes to the work folder; a store on the network has a mirror on this machine
         with hold_to_write(work, options.wait) as mirror, terminate_as_interrupt():
+            check_names(site)
             warning = claim(work, site.name, site.file)
             run, started = new_run(work)
             journal = Journal(mirror.wrap_listener(listen) if mirror else listen, started)
@@ -102,6 +104,16 @@ def draw_report(night: Night, record: RunRecord, journal: Journal, cameras: Mapp
         what = f"the report could not be built: {type(error).__name__}: {error}"
         journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
         return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
+
+
+def check_names(site: Site) -> None:
+    """Raise UsageError if two cameras would share a folder, because the work folder's disk does not tell their names apart."""
+    by_name: dict[str, str] = {}
+    for camera in site.cameras:
+        other = by_name.setdefault(camera.id.casefold(), camera.id)
+        if other != camera.id and site.work_folder.folds_case():
+            what = f"cameras {other} and {camera.id} would share a folder: the disk of {site.work_folder.root} ignores case"
+            raise UsageError(what, remedy="rename one of them, or name a work folder on another disk (work: FOLDER)")
 
 
 def note_oddities(night: Night, journal: Journal) -> None:

@@ -7,11 +7,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..cache.atomic import DISK_FULL_REMEDY
 from ..cache.store import DamagedArtifact
 from ..pipeline.stages import DEPTH, FUSE, POSES, stage_named
 from ..records.events import PlannedEvent
 from ..task import Task
+from ..words import DISK_FULL_REMEDY
 from .dispatch import Dispatcher
 from .journal import Journal
 from .options import Options

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.artifact import bytes_and_facts, result_of
-from ..cache.atomic import DISK_FULL_ERRORS, DISK_FULL_REMEDY
+from ..cache.atomic import DISK_FULL_ERRORS
 from ..cache.checksum import content_digest
 from ..cache.memo import ChangedFile
 from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand, Preimage, Receipt
@@ -31,7 +31,7 @@ from ..pipeline.stages import REJECTED, SITE_TYPES
 from ..plugins import load, make_importable
 from ..site.captures import CaptureFile
 from ..task import Task
-from ..words import LONGEST_TRACE, printable
+from ..words import DISK_FULL_REMEDY, LONGEST_TRACE, printable
 from .spec import Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause, Outcome, State, cached_state
 

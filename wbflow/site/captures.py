@@ -41,6 +41,8 @@ QUIET_SECONDS = 0.5
 """A capture is complete when it has not changed for so long.  Longer delays every run; shorter reads captures half written."""
 MOST_WAIT_SECONDS = 10.0
 """How long captures that are still being written are waited for, all together."""
+FAT_STEP_NS = 2_000_000_000
+"""Step of the time stamps of FAT file systems, nanoseconds."""
 _POLL_SECONDS = 0.05
 """How often it is looked at whether they have grown."""
 REDUCED_ANSWER_SECONDS = 5.0
@@ -374,9 +376,12 @@ def when_complete(
 def _is_written(path: Path) -> bool:
     """Was a file changed within `QUIET_SECONDS`?  A time in the future does not count: it is of a disk with another clock."""
     try:
-        return 0 <= time.time() - path.stat().st_mtime < QUIET_SECONDS
+        stamp_ns = path.stat().st_mtime_ns
     except OSError:
         return False
+    # FAT counts in steps of two seconds, so a file that is being written may seem that much older
+    quiet = QUIET_SECONDS if stamp_ns % FAT_STEP_NS or not QUIET_SECONDS else QUIET_SECONDS + FAT_STEP_NS / 1e9
+    return 0 <= time.time() - stamp_ns / 1e9 < quiet
 
 
 def changes_of(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:

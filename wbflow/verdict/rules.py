@@ -18,17 +18,19 @@ from statistics import median
 
 from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
 
+from ..cache.atomic import free_bytes
 from ..errors import ExitCode
 from ..pipeline.stages import FUSE, STAGES
 from ..pipeline.summaries import PosesSummary, SiteSummary
 from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
+from ..runner.disk import night_bytes
 from ..runner.night import Night
 from ..runner.state import Cause, State
 from ..site.models import Expected, Measure
 from ..task import Task, camera_of
-from ..words import counted
+from ..words import counted, format_size
 from .acknowledge import Acknowledgement, split
 from .baseline import earlier_runs, figures_of, settings_of, usual_before, usual_of, with_appearance
 from .ended import EndedNight
@@ -119,6 +121,10 @@ class Facts:
     missing: tuple[str, str] | None = None
     """The stage that the run was meant to end with, and why it made nothing; None if it made something."""
     interrupted: bool = False
+    night_bytes: int = 0
+    """Disk space that a night takes, bytes; 0 if no task found the disk full."""
+    free_bytes: int = 0
+    """Free disk space at the end of the run, bytes; 0 if no task found the disk full."""
     stopped: tuple[State, ...] = ()
     """States of the tasks that were not started before the time of --stop-at."""
     upload_finding: Finding | None = None
@@ -130,6 +136,11 @@ class Facts:
     """What the site file expects of good nights."""
     earlier: tuple[RunRecord, ...] = ()
     """The runs before this one, newest first, one for each night."""
+
+    @property
+    def disk_full(self) -> tuple[Task, ...]:
+        """The tasks that found no space for their results."""
+        return tuple(task for task, state in self.failed if state.code == Cause.DISK_FULL)
 
     @staticmethod
     def from_night(ended: EndedNight, interrupted: bool) -> Facts:
@@ -144,12 +155,15 @@ class Facts:
             state = ended.states.get(last)
             if state and not state.usable:
                 missing = (night.until, ended.root_cause(last) or "")
+        is_full = any(state.code == Cause.DISK_FULL for _, state in failed)
         return Facts(
             failed,
             product,
             missing,
             interrupted,
-            stopped,
+            night_bytes=night_bytes(night) if is_full else 0,
+            free_bytes=free_bytes(night.cache.work.root) if is_full else 0,
+            stopped=stopped,
             calibration_change=night.calibration_change,
             expected=night.site.settings.expect,
         )
@@ -200,10 +214,21 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield finding("interrupted")
     elif facts.missing:
         yield finding("no-result", stage=facts.missing[0], reason=shortened(facts.missing[1]))
-    elif facts.product and not record.cloud:
+    elif facts.product and not record.cloud and not facts.disk_full:
         yield finding("no-cloud", reason=shortened(record.reason or "reason unknown"))
+    if facts.disk_full:
+        yield _disk_finding(record, facts)
     if facts.upload_finding:
         yield facts.upload_finding
+
+
+def _disk_finding(record: RunRecord, facts: Facts) -> Finding:
+    """The one finding about a full disk: what failed because of it is its consequence, and has none of its own."""
+    count = len(facts.disk_full)
+    reason = f"the disk is full: {format_size(facts.free_bytes)} free, a night of this site takes about"
+    reason += f" {format_size(facts.night_bytes)}; {counted(count, 'task')} could not write"
+    figures = {"tasks": count, "free_bytes": facts.free_bytes}
+    return finding("disk-short" if record.cloud else "disk-full", (), figures, {"free_bytes": facts.night_bytes}, reason=reason)
 
 
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -214,6 +239,8 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         entry, down = _camera_finding(camera, record), camera.down
         if entry is None or down is None:  # `down` of a camera with a finding is never None
             continue
+        if facts.disk_full and (camera.health is None or camera.health.ok):
+            continue  # without its own results and those of its pairs, nothing can be said of it
         if entry.kind == "camera-no-usable-pair":
             may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
             if may_be_dense or camera.id in excused:
@@ -578,7 +605,8 @@ def check_tasks(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     left_out = {camera.id for camera in record.cameras if not camera.ok}
     groups: dict[tuple[str, str | None], list[tuple[Task, State]]] = {}
     for task, state in facts.failed:
-        if not (len(task.subject) == 1 and camera_of(task.subject[0]) in left_out):
+        is_of_lost_camera = len(task.subject) == 1 and camera_of(task.subject[0]) in left_out
+        if not is_of_lost_camera and state.code != Cause.DISK_FULL:
             groups.setdefault((task.stage, state.code), []).append((task, state))
     for (_, code), tasks in groups.items():
         task, state = tasks[0]
@@ -597,7 +625,7 @@ def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is there as much as the site file expects, as the last good nights gave, or as the night itself planned?"""
-    if facts.interrupted or not facts.product or not record.cloud:
+    if facts.interrupted or not facts.product or not record.cloud or facts.disk_full:
         return
     usual = record.usual or Usual(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
