@@ -125,10 +125,10 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         "pair": [(p.left, p.right) for p in night.pairs if p.ok],
     }
     corners = b"\0\0\0\0\xff\xff\xff\xff"
-    shown = [(row, of) for row in STAGES if row.products.drawings for of in subjects.get(row.scope, ())]
+    shown = [(row, of) for row in STAGES if row.products.product_files for of in subjects.get(row.scope, ())]
     for k, (row, subject) in enumerate(shown):
         every = {"picture": jpeg + bytes([k % 256, k // 256]), "large": jpeg, "marks": corners}
-        events += _made(work, Task(row.name, subject), {name: every[name] for name in row.products.drawings})
+        events += _made(work, Task(row.name, subject), {name: every[name] for name in row.products.product_files})
     if night.cloud:
         events += _made(work, Task(FUSE), {"view": cloud_view(bowl(points))})
     for pair in (p for p in night.pairs if not p.ok):
@@ -164,9 +164,9 @@ def _publish_reference(work: WorkFolder, night: RunRecord, jpeg: bytes) -> None:
     unfinished.publish(replace(night, run=str(night.reference), date="2026-10-31", reference=None), events, "")
 
 
-def _made(work: WorkFolder, task: Task, drawings: dict[str, bytes], key: str = KEY) -> list[Event]:
-    """Store the drawings of a task's result, but not the result itself; return its events."""
-    digests = {name: content_digest(data) for name, data in drawings.items()}
-    receipt = Receipt(str(task), key, "ran", Preimage(*task, "", "", {}, {}), "", drawings=digests)
-    Cache(work).write(receipt, None, drawings)
+def _made(work: WorkFolder, task: Task, product_files: dict[str, bytes], key: str = KEY) -> list[Event]:
+    """Store the product files of a task's result, but not the result itself; return its events."""
+    digests = {name: content_digest(data) for name, data in product_files.items()}
+    receipt = Receipt(str(task), key, "ran", Preimage(*task, "", "", {}, {}), "", product_files=digests)
+    Cache(work).write(receipt, None, product_files)
     return [TaskEvent(task, "ran", f"{RUN[:8]}T03:20:00+00:00", key=key)]

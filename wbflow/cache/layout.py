@@ -78,7 +78,7 @@ class WorkFolder:
 
     def __post_init__(self) -> None:
         self.cache = self.root / "cache"
-        """cache/<stage>/<subject>/<key>.*: artifacts, their receipts, and their drawings for the report."""
+        """cache/<stage>/<subject>/<key>.*: artifacts, their receipts, and their product files for the report."""
         self.captures_memo = self.cache / "captures.json"
         """Digests of captures, kept between runs."""
         self.functions_memo = self.cache / "functions.json"
@@ -148,8 +148,8 @@ class WorkFolder:
         """Return the path of an artifact's receipt; an artifact without a receipt does not count."""
         return self.artifact(task, key, ".json")
 
-    def drawing(self, task: Task, key: str, name: str) -> Path:
-        """Return the path of an artifact's drawing for the report; `name` as in `Products.drawings`."""
+    def product_file(self, task: Task, key: str, name: str) -> Path:
+        """Return the path of an artifact's product for the report; `name` as in `Products.product_files`."""
         return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
 
     def of_key(self, task: Task, key: str) -> list[Path]:

@@ -92,8 +92,8 @@ class Receipt:
     """Peak private memory of the worker during the task, in MB (2^20 bytes)."""
     finished: str = ""
     """Time of completion, ISO 8601, UTC."""
-    drawings: dict[str, str] = field(default_factory=dict)
-    """Digests of the result's drawings for the report, by name (see `Products.drawings`)."""
+    product_files: dict[str, str] = field(default_factory=dict)
+    """Digests of the result's product files for the report, by name (see `Products.product_files`)."""
 
 
 @dataclass(frozen=True)
@@ -179,22 +179,22 @@ class Cache:
         """Return the result that an artifact holds.  Raises DamagedArtifact, ArtifactError."""
         return artifact.result_of(self.read(task, self.path(receipt), receipt.digest), task.stage)
 
-    def drawing(self, task: Task, key: str, name: str) -> bytes | None:
-        """Return a drawing of a result; None if it is missing or damaged."""
+    def product_file(self, task: Task, key: str, name: str) -> bytes | None:
+        """Return a product file of a result; None if it is missing or damaged."""
         receipt = self.by_key(task, key)
-        if receipt is None or name not in receipt.drawings:
+        if receipt is None or name not in receipt.product_files:
             return None
         try:
-            data = read_untrusted(self.work.drawing(task, key, name))
+            data = read_untrusted(self.work.product_file(task, key, name))
         except OSError:
             return None
-        return data if content_digest(data) == receipt.drawings[name] else None
+        return data if content_digest(data) == receipt.product_files[name] else None
 
-    def write(self, receipt: Receipt, data: bytes | bytearray | None, drawings: Mapping[str, bytes] | None = None) -> None:
-        """Write an artifact and its drawings, and the receipt last.  Raises OSError."""
+    def write(self, receipt: Receipt, data: bytes | bytearray | None, product_files: Mapping[str, bytes] | None = None) -> None:
+        """Write an artifact and its product files, and the receipt last.  Raises OSError."""
         task = receipt.preimage.task
-        for name, drawing in (drawings or {}).items():
-            write_atomic(self.work.drawing(task, receipt.key, name), drawing, durable=False, own_path=True)
+        for name, product in (product_files or {}).items():
+            write_atomic(self.work.product_file(task, receipt.key, name), product, durable=False, own_path=True)
         if data is not None:
             write_atomic(self.path(receipt), data, own_path=True)
         path = self.work.receipt(task, receipt.key)

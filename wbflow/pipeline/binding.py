@@ -44,7 +44,7 @@ class Binding:
         faults = _faults_of(self.function, self.stage, self.stage.sources.keys())
         if self.method and self.stage.method:
             passed = _passed_to_method(self.function, self.stage)
-            faults += _faults_of(self.method, self.stage, passed | set(self.stage.method.given))
+            faults += _faults_of(self.method, self.stage, passed | set(self.stage.method.inputs))
         return faults
 
 
@@ -72,7 +72,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
         method_name = _chosen_method(choice, value, reader)
         code = content_digest(f"{code} {reader.code(method_name)}".encode())
         method = reader.signature(method_name)
-        provided = {*stage.sources, *choice.given, *parameters}
+        provided = {*stage.sources, *choice.inputs, *parameters}
         parameters |= {name: p for name, p in method.parameters.items() if name not in provided}
         requested = (function.names & stage.inputs.keys()) | (method.names & _passed_to_method(function, stage))
     required = {argument.name for argument in function.arguments if argument.required}
@@ -86,7 +86,7 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
     """Parameters, by method of a stage's table, that the stage's function does not have itself.  Raises FunctionError."""
     if stage.method is None:
         return {}
-    taken = {*stage.sources, *stage.method.given, *reader.signature(stage.function).parameters}
+    taken = {*stage.sources, *stage.method.inputs, *reader.signature(stage.function).parameters}
     return {
         name: {n: p for n, p in reader.signature(dotted).parameters.items() if n not in taken}
         for name, dotted in reader.table(stage.method.table).items()

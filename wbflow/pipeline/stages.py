@@ -91,7 +91,7 @@ class Method:
     """Name of the parameter that selects the method."""
     table: str
     """Dotted name of a dictionary literal: name -> "package.module:function"."""
-    given: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
     """Names of arguments that the stage's function passes to its methods in addition to its inputs."""
 
 
@@ -123,11 +123,11 @@ class Reuse:
 class Products:
     """What people see of a stage's result: dotted names of the functions that make it from the result."""
 
-    drawings: Mapping[str, str] = field(default_factory=dict)
-    """Functions by name of the drawing; the bytes they return are stored with the artifact.  `picture`: a JPEG, drawn from the
-    result and `picture_inputs`; `large`: a camera's image in full size (JPEG); `marks`: a camera's or pair's points in `large`;
-    `view`: points for the report's 3-D view; `layer`: an image on the report's map (see `report.pictures`); `cameras`: the
-    cameras that a run publishes, as JSON in the format of a calibration."""
+    product_files: Mapping[str, str] = field(default_factory=dict)
+    """Functions by name of the product file: the bytes they return are stored with the artifact.  `picture`: a JPEG, drawn from
+    the result and `picture_inputs`; `large`: a camera's image in full size (JPEG); `marks`: a camera's or pair's points in
+    `large`; `view`: points for the report's 3-D view; `layer`: an image on the report's map (see `report.pictures`); `cameras`:
+    the cameras that a run publishes, as JSON in the format of a calibration."""
     picture_inputs: Mapping[str, Source] = field(default_factory=dict)
     """Further inputs of `picture` by argument name; the function gets None for a missing one."""
     files: str = ""
@@ -372,7 +372,7 @@ STAGES: tuple[Stage, ...] = (
             "scene": own("scene", optional=True),
         },
         offers=_PAIR_FEATURES,
-        method=Method("method", "wbflow_stages.rectify:METHODS", given=("pair",)),
+        method=Method("method", "wbflow_stages.rectify:METHODS", inputs=("pair",)),
         reuse=Reuse(shifted="recompute", moved="recompute"),
         summary=RectifyFigures,
     ),
@@ -388,7 +388,7 @@ STAGES: tuple[Stage, ...] = (
             "reference_disparity": reference("disparity"),
         },
         offers={"geometry": own("geometry"), **_PAIR_FEATURES},
-        method=Method("matcher", "wbflow_stages.disparity:MATCHERS", given=("pair",)),
+        method=Method("matcher", "wbflow_stages.disparity:MATCHERS", inputs=("pair",)),
         products=Products(
             {"picture": "wbflow_stages.exports.previews:disparity_preview"},
             picture_inputs={**_SIDE_FRAMES, "rectification": own("rectify")},

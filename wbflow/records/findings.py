@@ -359,7 +359,7 @@ class Down(JsonDataclass):
 
 
 @dataclass(frozen=True)
-class Usual(JsonDataclass):
+class Baseline(JsonDataclass):
     """The figures that a night is compared with: medians of the last good nights, or those of the reference."""
 
     nights: int

@@ -17,7 +17,7 @@ from ..json_dataclass import FlatJsonDataclass, JsonDataclass
 from ..pipeline.stages import STAGES
 from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
 from ..task import camera_of
-from .findings import Down, Usual, Verdict
+from .findings import Baseline, Down, Verdict
 
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
@@ -169,7 +169,7 @@ class RunRecord(JsonDataclass):
     code: str | None = None
     verdict: Verdict | None = None
     """The verdict on the night; None in runs of earlier versions."""
-    usual: Usual | None = None
+    usual: Baseline | None = None
     """The usual figures that the night was compared with; None if there were none."""
     settings: str = ""
     """Digest of the site file's settings and the stages' code: usual figures come only from nights with the same digest."""

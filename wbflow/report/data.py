@@ -74,9 +74,9 @@ class ReportData:
         event = self.tasks.get(task)
         return self.cache.by_key(task, event.key) if event and event.key else None
 
-    def drawing(self, task: Task, name: str) -> bytes | None:
-        """Return a drawing of a result (see `Products.drawings`); None if it is gone or never existed."""
-        return self.cache.drawing(task, key, name) if (key := self.keys.get(task)) else None
+    def product_file(self, task: Task, name: str) -> bytes | None:
+        """Return a product file of a result (see `Products.product_files`); None if it is gone or never existed."""
+        return self.cache.product_file(task, key, name) if (key := self.keys.get(task)) else None
 
     def frame(self, camera: str) -> Task:
         """Return the task of a camera's frame; if it has several views, that of the first one, which shows the middle."""

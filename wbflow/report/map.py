@@ -114,7 +114,7 @@ def layers_of(data: ReportData, drawn: Map) -> list[dict[str, Any]]:
     """
     layers = []
     for stage in STAGES:
-        if layer := data.drawing(Task(stage.name), "layer"):
+        if layer := data.product_file(Task(stage.name), "layer"):
             head, picture = split(layer)
             (x, y), right, down = (drawn.at(drawn.scene.axes.place(corner)) for corner in head["corners"])
             matrix = (right[0] - x, right[1] - y, down[0] - x, down[1] - y, x, y)

@@ -67,7 +67,7 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
         )
         events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
-        content = _content(shown, [*points_of(shown), Points("change", load(products.drawings["view"])(changes))])
+        content = _content(shown, [*points_of(shown), Points("change", load(products.product_files["view"])(changes))])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise WbflowError("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"

@@ -1,6 +1,6 @@
 """Drawings of the night's results for the page: pictures, points, layers of the map, and keypoints over the camera pictures.
 
-All were drawn when the result was made, and are stored with its artifact; drawings that no longer exist are left out.
+All were drawn when the result was made, and are stored with its artifact; product files that no longer exist are left out.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ class Pictures:
         return self._from_file(path, alt, lambda: read_untrusted(path), link=name)
 
     def _from_result(self, task: Task, key: str, alt: str) -> Picture | None:
-        path, cache = self.data.work.drawing(task, key, "picture"), self.data.cache
-        return self._from_file(path, alt, lambda: cache.drawing(task, key, "picture"))
+        path, cache = self.data.work.product_file(task, key, "picture"), self.data.cache
+        return self._from_file(path, alt, lambda: cache.product_file(task, key, "picture"))
 
     def _from_file(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
         """Return the picture in a file; None if there is none.  link: path to a product, relative to the report."""
@@ -179,7 +179,7 @@ MOST_POINTS = 300_000
 
 def points_of_other(data: ReportData, other: ReportData) -> Points | None:
     """Return at most `MOST_POINTS` points of another night's cloud; None if it is gone, or might show what is private now."""
-    stream = other.drawing(Task(FUSE), "view")
+    stream = other.product_file(Task(FUSE), "view")
     if stream is None or not all(_is_as_private(data, other, frame) for frame in other.keys if frame.stage == FRAMES):
         return None
     if split(stream)[0]["n"] > MOST_POINTS:
@@ -189,7 +189,7 @@ def points_of_other(data: ReportData, other: ReportData) -> Points | None:
 
 def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, in the order of the stages: the product's come first."""
-    streams = ((stage.name, data.drawing(Task(stage.name), "view")) for stage in STAGES)
+    streams = ((stage.name, data.product_file(Task(stage.name), "view")) for stage in STAGES)
     return [Points("product" if name == FUSE else "change", stream) for name, stream in streams if stream]
 
 
@@ -211,8 +211,8 @@ def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, st
     pictures: list[tuple[int, str, str]] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         frame = data.frame(camera)
-        if picture := data.drawing(frame, "large"):
-            marks = data.drawing(Task(FEATURES, frame.subject), "marks") or b"", inliers[frame.subject[0]]
+        if picture := data.product_file(frame, "large"):
+            marks = data.product_file(Task(FEATURES, frame.subject), "marks") or b"", inliers[frame.subject[0]]
             encoded = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
             if len(encoded) > bytes_left:
                 break
@@ -225,7 +225,7 @@ def _inliers(data: ReportData) -> defaultdict[str, bytes]:
     """Return the inliers of each view; the first half of a pair's inliers is in the left image, the second in the right one."""
     inliers = defaultdict[str, bytes](bytes)
     for pair in data.record.pairs:
-        pair_inliers = data.drawing(Task(GEOMETRY, (pair.left, pair.right)), "marks") or b""
+        pair_inliers = data.product_file(Task(GEOMETRY, (pair.left, pair.right)), "marks") or b""
         inliers[pair.left] += pair_inliers[: len(pair_inliers) // 2]
         inliers[pair.right] += pair_inliers[len(pair_inliers) // 2 :]
     return inliers

@@ -278,7 +278,7 @@ def tried(data: ReportData, pair: PairRecord) -> Iterator[tuple[str, str, str]]:
 def pair_pictures(data: ReportData, album: Pictures) -> list[tuple[str, list[Picture]]]:
     """Return the pictures of each pair that has any."""
     rows = []
-    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.drawings]
+    drawn = [stage.name for stage in STAGES if stage.scope == "pair" and "picture" in stage.products.product_files]
     for pair in data.record.pairs:
         tasks = [Task(name, (pair.left, pair.right)) for name in drawn]
         if pictures := [picture for task in tasks if (picture := album.of_task(task, str(task)))]:

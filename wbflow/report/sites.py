@@ -96,5 +96,5 @@ def _picture_url(work: WorkFolder) -> str:
         event = RunFolder.of(work, work.latest_good.name).tasks().get(task)
     except NoSuchRun:
         return ""
-    picture = Cache(work).drawing(task, event.key, "picture") if event and event.key else None
+    picture = Cache(work).product_file(task, event.key, "picture") if event and event.key else None
     return data_url(picture) if picture else ""

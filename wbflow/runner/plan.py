@@ -17,7 +17,7 @@ from ..reference.resolve import Resolver
 from ..task import Task, names_of
 from .inputs import Inputs
 from .night import Night
-from .spec import Drawing, Input, TaskSpec
+from .spec import Input, ProductFile, TaskSpec
 from .state import Impossible, State, Waiting, cached_state
 from .subjects import Subjects
 
@@ -119,7 +119,7 @@ class Plan:
         stage = stage_named(task.stage)
         replacement = self.resolver.replacement(stage, task)
         adapt = replacement if isinstance(replacement, Adapt) else None
-        return self._with_drawings(self._spec(stage, task, adapt), frozenset())
+        return self._with_product_files(self._spec(stage, task, adapt), frozenset())
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
@@ -169,7 +169,7 @@ class Plan:
                     earlier.add(follower)
             except (Waiting, Impossible):
                 continue
-        return [self._with_drawings(spec, earlier) for spec in chain]
+        return [self._with_product_files(spec, earlier) for spec in chain]
 
     def _spec(self, stage: Stage, task: Task, adapt: Adapt | None, earlier: Set[Task] = frozenset()) -> TaskSpec:
         """The spec of a task with the stage's function or the `adapt` function; raises Waiting, Impossible.
@@ -198,16 +198,16 @@ class Plan:
             folder=self.night.site.folder,
         )
 
-    def _with_drawings(self, spec: TaskSpec, earlier: Set[Task]) -> TaskSpec:
-        """A spec with the drawings to make of its result.  earlier: as for `_spec`."""
+    def _with_product_files(self, spec: TaskSpec, earlier: Set[Task]) -> TaskSpec:
+        """A spec with the product files to make of its result.  earlier: as for `_spec`."""
         stage = stage_named(spec.task.stage)
-        drawings = []
-        for name, function in stage.products.drawings.items():
+        product_files = []
+        for name, function in stage.products.product_files.items():
             inputs: dict[str, Input] = {}
             for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
                 try:
                     inputs[argument] = self._inputs.input_of(spec.task, need, earlier)
                 except (Waiting, Impossible):
                     inputs[argument] = None
-            drawings.append(Drawing(name, function, inputs))
-        return dataclasses.replace(spec, drawings=tuple(drawings))
+            product_files.append(ProductFile(name, function, inputs))
+        return dataclasses.replace(spec, product_files=tuple(product_files))

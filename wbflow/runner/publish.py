@@ -102,8 +102,10 @@ def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmles
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
     """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache lacks that form."""
     receipt = plan.states[Task(POSES)].receipt
-    drawing = plan.night.cache.drawing(Task(POSES), receipt.key, "cameras") if receipt else None
-    cameras: dict[str, Any] = json.loads(drawing or load(stage_named(POSES).products.drawings["cameras"])(artifact.decode(poses)))
+    product = plan.night.cache.product_file(Task(POSES), receipt.key, "cameras") if receipt else None
+    if product is None:
+        product = load(stage_named(POSES).products.product_files["cameras"])(artifact.decode(poses))
+    cameras: dict[str, Any] = json.loads(product)
     return cameras
 
 

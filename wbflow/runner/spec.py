@@ -84,11 +84,11 @@ Input = Value | Files | Stored | Joined | None
 
 
 @dataclass(frozen=True)
-class Drawing:
-    """A drawing of a task's result for the report.  It is not part of the task's cache key."""
+class ProductFile:
+    """A product file of a task's result for the report.  It is not part of the task's cache key."""
 
     name: str
-    """Name of the drawing (see `Products.drawings`)."""
+    """Name of the product file (see `Products.product_files`)."""
     function: str
     inputs: dict[str, Input]
     """Arguments of the function besides the result, by name."""
@@ -103,7 +103,7 @@ class TaskSpec:
     code: str
     parameters: dict[str, Any]
     inputs: dict[str, Input]
-    drawings: tuple[Drawing, ...] = ()
+    product_files: tuple[ProductFile, ...] = ()
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)
     """Defaults that only the function can evaluate, as source text by parameter: not passed, but part of the cache key."""

@@ -206,9 +206,9 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
     outcome: Outcome = "rejected" if isinstance(result, rejected_class) else "ran"
     if outcome == "ran":
         data, facts = bytes_and_facts(result, spec.task.stage, key)
-        drawings, warnings = _draw(spec, result, context)
+        product_files, warnings = _draw(spec, result, context)
     else:
-        data, drawings, warnings = None, dict[str, bytes](), list[str]()
+        data, product_files, warnings = None, dict[str, bytes](), list[str]()
         facts = {"digest": "", "reason": printable(result.reason), "code": result.code, "figures": dict(result.figures)}
     receipt = Receipt(
         str(spec.task),
@@ -220,28 +220,28 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
         cpu=context.clock() - cpu_start,
         peak_rss_mb=peak_bytes() / 2**20,
         finished=datetime.datetime.now(datetime.UTC).isoformat(),
-        drawings={name: content_digest(drawing) for name, drawing in drawings.items()},
+        product_files={name: content_digest(product) for name, product in product_files.items()},
     )
-    context.cache.write(receipt, data, drawings)
+    context.cache.write(receipt, data, product_files)
     context.results[receipt.digest] = result
     return FinishedTask(spec.task, State(outcome, receipt.reason, receipt.code, receipt, fresh=True), warnings=tuple(warnings))
 
 
 def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str, bytes], list[str]]:
-    """The drawings of a result for the report, by name, and warnings for those that failed, which do not affect the result.
+    """The product files of a result for the report, by name, and warnings for those that failed, which do not affect the result.
 
     Raises DamagedArtifact.
     """
-    drawings, warnings = {}, []
-    for drawing in spec.drawings:
+    product_files, warnings = {}, []
+    for product in spec.product_files:
         try:
-            inputs = {name: _load(_resolve(value, context), context) for name, value in drawing.inputs.items()}
-            drawings[drawing.name] = bytes(load(drawing.function)(result, **inputs))
+            inputs = {name: _load(_resolve(value, context), context) for name, value in product.inputs.items()}
+            product_files[product.name] = bytes(load(product.function)(result, **inputs))
         except DamagedArtifact:
             raise  # the artifact is made again, then this task
         except Exception as error:
-            warnings.append(printable(f"its {drawing.name} could not be drawn: {type(error).__name__}: {error}"))
-    return drawings, warnings
+            warnings.append(printable(f"its {product.name} could not be drawn: {type(error).__name__}: {error}"))
+    return product_files, warnings
 
 
 def _resolve(value: Input, context: _ChainContext) -> Input:

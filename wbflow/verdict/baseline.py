@@ -13,7 +13,7 @@ from wbflow_stages.contracts.camera_figures import FrameFigures, Health
 
 from ..cache.layout import WorkFolder
 from ..pipeline.stages import STAGES
-from ..records.findings import Usual
+from ..records.findings import Baseline
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
 from ..runner.bindings import Bindings
@@ -38,7 +38,7 @@ def earlier_runs(work: WorkFolder, run: str, date: str) -> tuple[RunRecord, ...]
     return tuple(sorted(by_date.values(), key=lambda record: (record.date, record.run), reverse=True))
 
 
-def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -> Usual | None:
+def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -> Baseline | None:
     """Medians of good nights with the same settings; else the usual figures that the newest run with these settings recorded.
 
     earlier: newest first.  settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
@@ -50,12 +50,12 @@ def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -
     return next((record.usual for record in comparable if record.usual), None)
 
 
-def usual_of(records: Sequence[RunRecord]) -> Usual:
+def usual_of(records: Sequence[RunRecord]) -> Baseline:
     """The medians of the figures of some nights."""
     names = dict.fromkeys(camera.id for record in records for camera in record.cameras)
     appearances = [appearance_of(record) for record in records]
     cameras = {name: _medians(appearance.get(name, {}) for appearance in appearances) for name in names}
-    return Usual(
+    return Baseline(
         len(records), _medians(map(figures_of, records)), {name: medians for name, medians in cameras.items() if medians}
     )
 

@@ -22,7 +22,7 @@ from ..cache.atomic import free_bytes
 from ..errors import ExitCode
 from ..pipeline.stages import FUSE, STAGES
 from ..pipeline.summaries import PosesSummary, SiteSummary
-from ..records.findings import FINDINGS, Down, Finding, Level, Usual, Verdict, finding
+from ..records.findings import FINDINGS, Baseline, Down, Finding, Level, Verdict, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.disk import night_bytes
@@ -180,7 +180,7 @@ def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:
             pinned = RunFolder.of(work, night.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
                 pinned_usual = usual_of([pinned])
-                usual = Usual(1, pinned_usual.figures, usual.cameras if usual else pinned_usual.cameras, pinned.run)
+                usual = Baseline(1, pinned_usual.figures, usual.cameras if usual else pinned_usual.cameras, pinned.run)
     return judge(replace(record, settings=settings, usual=usual), replace(facts, earlier=earlier))
 
 
@@ -627,7 +627,7 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is there as much as the site file expects, as the last good nights gave, or as the night itself planned?"""
     if facts.interrupted or not facts.product or not record.cloud or facts.disk_full:
         return
-    usual = record.usual or Usual(0, {})
+    usual = record.usual or Baseline(0, {})
     figures = figures_of(record) | {Measure.CAMERAS: float(sum(camera.ok for camera in record.cameras))}
     for name, value in figures.items():
         limit, amount, typical = facts.expected.limit(name), _amount_text(name, value), usual.figures.get(name)

@@ -10,7 +10,7 @@ import pytest
 
 from wbflow.errors import ExitCode
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
-from wbflow.records.findings import Down, Finding, Usual, Verdict
+from wbflow.records.findings import Baseline, Down, Finding, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, StageSeconds, TaskCounts
 from wbflow_stages.contracts.camera_figures import Health
 
@@ -90,7 +90,7 @@ def with_verdict() -> RunRecord:
     finding = Finding("camera-wrong-scene", ("quay",), "shows another place", figures, expected, "look where it points")
     health = Health("wrong-scene", "shows another place", figures, expected, "look where it points")
     quay = CameraRecord("quay", "ok", health=health, down=Down("2026-11-17", 3))
-    usual = Usual(5, {"points": 1_900_000.0}, {"quay": {"brightness": 101.5}})
+    usual = Baseline(5, {"points": 1_900_000.0}, {"quay": {"brightness": 101.5}})
     verdict = Verdict("degraded", (finding,))
     return replace(some_record(), verdict=verdict, cameras=(quay,), usual=usual, settings="abc")
 

@@ -34,8 +34,8 @@ def painter(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> Path:
     module = toy.folder / "painter.py"
     module.write_text(ORIGINAL)
     stage = pipeline.stage_named("geometry")
-    drawings = {**stage.products.drawings, "picture": "painter:show"}
-    mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, drawings=drawings))
+    product_files = {**stage.products.product_files, "picture": "painter:show"}
+    mine = dataclasses.replace(stage, products=dataclasses.replace(stage.products, product_files=product_files))
     monkeypatch.setattr("wbflow.runner.plan.stage_named", lambda name: mine if name == stage.name else pipeline.stage_named(name))
     return module
 
