@@ -60,13 +60,15 @@ class EditServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     server: EditServer
     timeout = _TIMEOUT_SECONDS
-    server_version, sys_version = "wbflow", ""
+    server_version = "wbflow"
+    sys_version = ""
 
     def parse_request(self) -> bool:
         """Read a request of any method, and refuse it if the host or the token is wrong."""
         if not super().parse_request():
             return False
         token = self.path.removeprefix("/").partition("/")[0]
+        # another host name: a foreign page whose name was made to resolve to this machine
         host_is_right = self.headers.get("Host", "") in self.server.hosts
         if host_is_right and secrets.compare_digest(token.encode(), self.server.token.encode()):
             return True
@@ -93,7 +95,8 @@ class _Handler(BaseHTTPRequestHandler):
             return self._send(HTTPStatus.CONFLICT, "text/plain", str(error).encode(), {})
 
     def _get(self, path: str) -> Answer:
-        session, (resource, _, name) = self.server.session, unquote(path).partition("/")
+        session = self.server.session
+        resource, _, name = unquote(path).partition("/")
         if not name and resource in _ASSETS:
             file, kind = _ASSETS[resource]
             return f"{kind}; charset=utf-8", (files(__package__) / "assets" / file).read_bytes(), {}
@@ -107,7 +110,8 @@ class _Handler(BaseHTTPRequestHandler):
         raise KeyError(path)
 
     def _post(self, path: str) -> Answer:
-        session, body = self.server.session, self._read_body()
+        session = self.server.session
+        body = self._read_body()
         if path == "look":
             return _json_answer(session.posed.guides(GuideRequest.model_validate_json(body)))
         if path == "ground":

@@ -123,20 +123,25 @@ class PosedCameras:
     """The posed cameras of a site: as its last run solved them, else as the site file states them."""
 
     def __init__(self, site: Site) -> None:
-        stated = (camera for camera in site.cameras if camera.given and camera.lens.width and camera.lens.height)
-        self.poses: dict[str, Mapping[str, Any]] = {c.id: {**vars(c.lens), **vars(c.placement)} for c in stated}
+        self.poses: dict[str, Mapping[str, Any]] = {}
         """Cameras by id, in the format of `cameras.json`."""
+        for camera in site.cameras:
+            if camera.given and camera.lens.width and camera.lens.height:
+                self.poses[camera.id] = {**vars(camera.lens), **vars(camera.placement)}
         self.ground = 0.0
         """The height (z) at which zones are drawn at first."""
         try:
             run = RunFolder.of(site.work_folder)
             self.poses |= run.cameras()
-            if cloud := run.record().cloud:
+            cloud = run.record().cloud
+            if cloud:
+                # every 97th point: enough for a quantile, of a cloud of millions
                 heights = sorted(read_ply(run.paths.folder / cloud.path)["z"][::97].tolist())
                 self.ground = round(heights[int(GROUND_SHARE * len(heights))], 2)
         except (NoSuchRun, OSError, ValueError, LookupError):
             pass  # there is no run yet, or its files are gone
         self._frame = local_frame(site.settings, Problems(site.document))
+        # The poses of a run are in the world of the site file only if something there determines that world.
         placed_count = sum(camera.placement.C is not None for camera in site.cameras)
         is_fixed = max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
         is_tied = site.has_given_poses or bool(site.survey.crs) or is_fixed
@@ -151,13 +156,17 @@ class PosedCameras:
 
     def guides(self, request: GuideRequest) -> dict[str, Any]:
         """Return residuals of the control points, and guides and zone outlines for one camera's picture."""
-        camera, marks, chosen = request.camera, request.marks, request.chosen
-        places = [self._world(point.position) for point in marks.points]
-        residuals = self._sights.residuals([(p.pixels, place) for p, place in zip(marks.points, places, strict=True)])
+        points = request.marks.points
+        places = [self._world(point.position) for point in points]
+        pixels_and_places = [(point.pixels, place) for point, place in zip(points, places, strict=True)]
+        residuals = self._sights.residuals(pixels_and_places)
         guide = {}
+        chosen = request.chosen
         if chosen is not None and 0 <= chosen < len(places):
-            guide = self._sights.guide(camera, marks.points[chosen].pixels, places[chosen])
-        zones = [self._sights.outline(camera, zone.corners, request.ground) for zone in marks.zones] if self.upright else []
+            guide = self._sights.guide(request.camera, points[chosen].pixels, places[chosen])
+        zones = []
+        if self.upright:
+            zones = [self._sights.outline(request.camera, zone.corners, request.ground) for zone in request.marks.zones]
         return {"residuals": residuals, "guide": guide, "zones": zones}
 
     def on_ground(self, request: GroundRequest) -> list[float] | None:
@@ -171,7 +180,9 @@ class PosedCameras:
         """Return stated coordinates in the cameras' world; None if not stated, or if that world is not tied to them."""
         if position is None or not self._in_stated_frame:
             return None
-        return list(position) if self._frame is None else self._frame.metres(*position)
+        if self._frame is None:
+            return list(position)
+        return self._frame.metres(*position)
 
 
 class Session:
@@ -185,7 +196,7 @@ class Session:
         self._sizes: dict[str, tuple[int, int]] = {}
         """Width and height of the captures, for cameras that were shown."""
         self._masks = {camera.id: read_untrusted(camera.mask) for camera in site.cameras if camera.mask}
-        """The original masks: each save paints all areas over these."""
+        """The original masks: each save paints all areas over these, so that a removed area leaves no trace."""
         self._painted_cameras: set[str] = set()
         """Cameras whose masks this session has written."""
         self._last_digests = self._digests()
@@ -212,9 +223,10 @@ class Session:
         camera = self._camera(name)
         files = captures_of(self.site, camera, self._night, Digests(None))
         usable = [file for file in files if file.digest]
+        if not files:
+            raise Refused(f"no capture: {expected(self.site, camera, self._night)}")
         if not usable:
-            message = f"{files[0].name} {files[0].fault}" if files else f"no capture: {expected(self.site, camera, self._night)}"
-            raise Refused(message)
+            raise Refused(f"{files[0].name} {files[0].fault}")
         file = usable[len(usable) // 2]
         try:
             width, height, jpeg = load("wbflow_stages.marking:as_jpeg")(file.name, read_untrusted(file.path))
@@ -225,7 +237,8 @@ class Session:
 
     def shade(self, name: str) -> bytes:
         """Return a PNG that shows what a camera's mask leaves out.  Raises Refused if there is no mask, or it cannot be read."""
-        if (mask := self._masks.get(self._camera(name).id)) is None:
+        mask = self._masks.get(self._camera(name).id)
+        if mask is None:
             raise Refused(f"{name} has no mask")
         try:
             return bytes(load("wbflow_stages.marking:mask_overlay")(name, mask))
@@ -238,29 +251,36 @@ class Session:
         Raises Refused if the file would be invalid, or has changed since.
         """
         marks = request.marks
-        with self._lock:
+        with self._lock:  # the browser may send two requests at once, and each changes the text that the other has read
+            # 1. Nobody else has changed the files since the page was opened or saved.
             if request.version != self._last_digests[self.site.file] or self._last_digests != self._digests():
                 remedy = "open the page again: what is drawn there now has not been saved"
                 raise Refused("was changed on disk meanwhile; nothing was written", where=str(self.site.file), remedy=remedy)
+            # 2. New masks first: the site file is valid only if the masks that it names exist.
             masks = dict(self._new_masks(marks))
             files = {name: self._mask_file(self._camera(name)) for name in masks}
             added = [name for name, file in files.items() if file != self._camera(name).mask]
-            for name in added:  # the site file is valid only if the masks that it names exist
+            for name in added:
                 write_atomic(files[name], masks[name])
+            # 3. The site file with the marks, which is loaded as a run would load it.
             try:
-                text, site = self._edited_site(marks, {name: str(files[name].relative_to(self.site.folder)) for name in added})
+                paths = {name: str(files[name].relative_to(self.site.folder)) for name in added}
+                text, site = self._edited_site(marks, paths)
             except Refused:
                 for name in added:
                     files[name].unlink()
                 raise
+            # 4. All is valid: existing masks, and the site file last.
             for name, file in files.items():
                 write_atomic(file, masks[name])
             write_atomic(self.site.file.resolve(), text)
-            self.site, self._painted_cameras = site, self._painted_cameras | masks.keys()
+            self.site = site
+            self._painted_cameras |= masks.keys()
             self._last_digests = self._digests()
             return self.state()
 
     def _new_masks(self, marks: Marks) -> Iterable[tuple[str, bytes]]:
+        """The mask of each camera on which something is painted, or was in this session: its areas may all be gone again."""
         for name, drawn in marks.cameras.items():
             if not drawn.mask and name not in self._painted_cameras:
                 continue
@@ -274,8 +294,10 @@ class Session:
 
     def _edited_site(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
         """Return the bytes of the site file with the marks, and the site loaded from them.  Raises Refused."""
+        # byte-order mark and line ends stay as the user's editor wrote them
         raw = read_untrusted(self.site.file, MOST_TEXT_BYTES)
-        old_text, bom = raw.decode("utf-8-sig"), BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
+        old_text = raw.decode("utf-8-sig")
+        bom = BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
         line_end = "\r\n" if "\r\n" in old_text else "\n"
         try:
             text = _with_marks(old_text.replace("\r\n", "\n"), self.site, marks, masks)
@@ -291,35 +313,46 @@ class Session:
         other_masks = {other.mask for other in self.site.cameras if other.id != camera.id}
         if camera.mask and camera.mask.suffix.lower() == ".png" and camera.mask not in other_masks:
             return camera.mask
-        folder, number = self.site.folder / "masks", 1
-        while (file := folder / f"{camera.id}{f'-{number}' if number > 1 else ''}.png").exists():
+        folder = self.site.folder / "masks"
+        file = folder / f"{camera.id}.png"
+        number = 1
+        while file.exists():
             number += 1
+            file = folder / f"{camera.id}-{number}.png"
         return file
 
     def _camera(self, name: str) -> Camera:
-        camera = next((camera for camera in self.site.cameras if camera.id == name), None)
-        if camera is None:
-            raise Refused(f"the site has no camera {name!r}")
-        return camera
+        for camera in self.site.cameras:
+            if camera.id == name:
+                return camera
+        raise Refused(f"the site has no camera {name!r}")
 
     def _digests(self) -> dict[Path, str]:
-        files = [self.site.file, *(camera.mask for camera in self.site.cameras if camera.mask)]
-        return {file: content_digest(read_untrusted(file)) if is_file(file) else "" for file in files}
+        """The digests of the site file and of all masks; "" for a file that is gone."""
+        files = [self.site.file]
+        files += [camera.mask for camera in self.site.cameras if camera.mask]
+        digests: dict[Path, str] = {}
+        for file in files:
+            digests[file] = content_digest(read_untrusted(file)) if is_file(file) else ""
+        return digests
 
 
 def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
     """Return the text of a site file with the marks.  masks: paths of new masks, by camera.  Raises NotEditable."""
-    settings, geodetic = site.settings, bool(site.survey.crs)
-    for k, camera in enumerate(settings.cameras):
-        if (drawn := marks.cameras.get(camera.id)) is None:
+    geodetic = bool(site.survey.crs)
+    for k, camera in enumerate(site.settings.cameras):
+        drawn = marks.cameras.get(camera.id)
+        if drawn is None:
             continue
         location: Location = ("cameras", k)
+        # a camera that is written as its id alone becomes a mapping as soon as it has keys
         is_id_alone = not isinstance(site.document.data["cameras"][k], dict)
         if is_id_alone and (drawn.privacy or camera.id in masks):
             text = put(text, location, {"id": camera.id})
         if camera.id in masks:
             text = put(text, (*location, "mask"), masks[camera.id])
-        text = _with_list(text, (*location, "privacy"), camera.privacy, [(mark.was, mark.corners) for mark in drawn.privacy])
+        new_polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
+        text = _with_list(text, (*location, "privacy"), camera.privacy, new_polygons)
     zones, points = _marks_of(site)
     new_zones = [(mark.was, _zone_entry(mark)) for mark in marks.zones]
     text = _with_list(text, ("zones",), [_zone_entry(mark) for mark in zones], new_zones)
@@ -328,24 +361,29 @@ def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -
 
 
 def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
-    settings = site.settings
-    zones = [ZoneMark(was=k, name=z.name, corners=z.polygon, least_m=z.least_m) for k, z in enumerate(settings.zones or ())]
-    points = [
-        PointMark(was=k, id=p.id or "", position=list(p.geodetic) if p.geodetic else p.position, pixels=p.pixels)
-        for k, p in enumerate(settings.control_points)
-    ]
+    """The zones and control points of the site file as marks."""
+    zones: list[ZoneMark] = []
+    for k, zone in enumerate(site.settings.zones or ()):
+        zones.append(ZoneMark(was=k, name=zone.name, corners=zone.polygon, least_m=zone.least_m))
+    points: list[PointMark] = []
+    for k, point in enumerate(site.settings.control_points):
+        position = list(point.geodetic) if point.geodetic else point.position
+        points.append(PointMark(was=k, id=point.id or "", position=position, pixels=point.pixels))
     return zones, points
 
 
 def _with_list(text: str, location: Location, old_items: Sequence[Any], new_items: Sequence[tuple[int | None, Any]]) -> str:
     """Return the text with a list changed to `new_items`: items that remain keep their text, except for values that differ."""
+    # 1. Items that remain.
     kept_items = {was: value for was, value in new_items if was is not None and was < len(old_items)}
     for k, old_value in enumerate(old_items):
         if k in kept_items:
             text = _with_value(text, (*location, k), old_value, kept_items[k])
+    # 2. Items that are gone; from the end, so that the others keep their places.
     for k in reversed(range(len(old_items))):
         if k not in kept_items:
             text = remove(text, (*location, k))
+    # 3. New items at the end.
     added = [value for was, value in new_items if was is None or was >= len(old_items)]
     if added and not kept_items:
         return put(text, location, added)
@@ -365,13 +403,19 @@ def _with_value(text: str, location: Location, old: Any, new: Any) -> str:
 
 
 def _zone_entry(mark: ZoneMark) -> dict[str, Any]:
-    limit = {"least_m": mark.least_m} if mark.least_m else {}
-    return {"name": mark.name, "polygon": mark.corners, **limit}
+    entry: dict[str, Any] = {"name": mark.name, "polygon": mark.corners}
+    if mark.least_m:
+        entry["least_m"] = mark.least_m
+    return entry
 
 
 def _point_entry(mark: PointMark, geodetic: bool) -> dict[str, Any]:
-    names = ("latitude", "longitude", "height")
-    place: dict[str, Any] = {}
-    if mark.position is not None:
-        place = dict(zip(names, mark.position, strict=True)) if geodetic else {"position": mark.position}
-    return {**({"id": mark.id} if mark.id else {}), **place, "pixels": mark.pixels}
+    entry: dict[str, Any] = {}
+    if mark.id:
+        entry["id"] = mark.id
+    if mark.position is not None and geodetic:
+        entry["latitude"], entry["longitude"], entry["height"] = mark.position
+    elif mark.position is not None:
+        entry["position"] = mark.position
+    entry["pixels"] = mark.pixels
+    return entry

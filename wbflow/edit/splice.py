@@ -49,17 +49,25 @@ def append(text: str, location: Location, value: Any) -> str:
 
 def remove(text: str, location: Location) -> str:
     """Return the text without an item of a list.  Raises NotEditable."""
-    node, index = _node_at(text, location[:-1]), location[-1]
+    node = _node_at(text, location[:-1])
+    index = location[-1]
     assert isinstance(index, int)
     if len(node.value) == 1:
         return put(text, location[:-1], [])
     item = node.value[index]
     if not node.flow_style:
-        splice = text.rfind("\n", 0, item.start_mark.index) + 1, _line_end(text, _value_end(item)) + 1, ""
+        # whole lines, with the dash before the item and a comment after it
+        start = text.rfind("\n", 0, item.start_mark.index) + 1
+        end = _line_end(text, _value_end(item)) + 1
     elif index + 1 < len(node.value):
-        splice = item.start_mark.index, node.value[index + 1].start_mark.index, ""
+        # with the comma after it
+        start = item.start_mark.index
+        end = node.value[index + 1].start_mark.index
     else:
-        splice = _value_end(node.value[index - 1]), _value_end(item), ""
+        # with the comma before it
+        start = _value_end(node.value[index - 1])
+        end = _value_end(item)
+    splice = start, end, ""
     expected, container, key = _expected(text, location)
     del container[key]
     return _apply(text, splice, expected)
@@ -79,16 +87,21 @@ def _with_integers(value: Any) -> Any:
         return {key: _with_integers(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_with_integers(inner) for inner in value]
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 def _replacement(text: str, node: Any, value: Any) -> Splice:
-    start, end = node.start_mark.index, _value_end(node)
+    start = node.start_mark.index
+    end = _value_end(node)
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
         # a block starts below its key, perhaps after comments; the new value is written on the key's line
         key_end = _key_end(text, start)
         return key_end, end, f" {flow(value)}{text[key_end:start].rstrip()}"
-    return start, end, f" {flow(value)}" if start == end and text[start - 1 : start] == ":" else flow(value)
+    is_empty_after_colon = start == end and text[start - 1 : start] == ":"
+    space = " " if is_empty_after_colon else ""
+    return start, end, f"{space}{flow(value)}"
 
 
 def _key_end(text: str, start: int) -> int:
@@ -136,15 +149,24 @@ def _node_at(text: str, location: Location) -> Any:
     for step in location:
         if isinstance(step, int) and isinstance(node, yaml.SequenceNode):
             node = node.value[step]
-        elif isinstance(node, yaml.MappingNode) and (values := [v for key, v in node.value if key.value == str(step)]):
-            node = values[0]
         else:
-            raise NotEditable("it is written in a way that cannot be changed here")
+            node = _value_of_key(node, str(step))
     return node
 
 
+def _value_of_key(node: Any, name: str) -> Any:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.value == name:
+                return value
+    raise NotEditable("it is written in a way that cannot be changed here")
+
+
 def _apply(text: str, splice: Splice, expected: Any) -> str:
-    """Return the text with a splice applied; raise NotEditable unless its data are then as expected."""
+    """Return the text with a splice applied; raise NotEditable unless its data are then as expected.
+
+    The check makes this safe: whatever YAML the file has, an edit changes what it should, and nothing else, or is refused.
+    """
     start, end, replacement = splice
     edited = f"{text[:start]}{replacement}{text[end:]}"
     try:
@@ -169,9 +191,15 @@ def _without_aliases(data: Any) -> Any:
     """Return a copy of the data in which values shared through aliases are separate."""
     if isinstance(data, dict):
         return {key: _without_aliases(value) for key, value in data.items()}
-    return [_without_aliases(value) for value in data] if isinstance(data, list) else data
+    if isinstance(data, list):
+        return [_without_aliases(value) for value in data]
+    return data
 
 
 def _actual_key(data: Any, step: str | int) -> Any:
     """Return the key as the file has it: YAML reads an id that looks like a number as a number."""
-    return next((key for key in data if str(key) == step), step) if isinstance(data, dict) else step
+    if isinstance(data, dict):
+        for key in data:
+            if str(key) == step:
+                return key
+    return step

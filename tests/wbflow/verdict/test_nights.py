@@ -62,7 +62,8 @@ def test_a_night_without_files_fails_and_names_the_folder_of_captures(toy: ToySi
     record = toy.run(code=1)
     captures = str(toy.folder / "captures")
     first, *others = (finding["text"] for finding in record["verdict"]["findings"])
-    assert first == f"no cloud: no camera has a usable capture: there is none of this night in {captures}"
+    wanted = f"captures.pattern wants {toy.cameras[0]}.txt, and there is no file at all in {captures}"
+    assert first == f"no cloud: no camera has a usable capture of this night: {wanted}"
     assert others == [f"no capture: there is no file {name}.txt; left out tonight" for name in toy.cameras]
 
 
