@@ -29,7 +29,9 @@ from ..site.models import Site
 CHANGE = "change"
 """First word of the name of an acknowledged change."""
 _NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
+"""Name of an acknowledged change: its kind and its position (x, y, z) in metres."""
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
+"""First line of the file."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,12 @@ class Acknowledgement(JsonDataclass):
     @property
     def words(self) -> str:
         """Who acknowledged it, until when, and why."""
-        until = f", until {self.until}" if self.until else ""
-        return f"acknowledged by {self.by} on {self.on}{until}{': ' if self.note else ''}{self.note}"
+        text = f"acknowledged by {self.by} on {self.on}"
+        if self.until:
+            text += f", until {self.until}"
+        if self.note:
+            text += f": {self.note}"
+        return text
 
 
 def name_of(finding: Finding) -> str:
@@ -97,14 +103,21 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
     if code == CHANGE:
         subject = []
     elif code not in FINDINGS or FINDINGS[code].level == "failed":
-        known = ", ".join(name for name, row in FINDINGS.items() if row.level != "failed")
+        known = ", ".join(kind for kind, row in FINDINGS.items() if row.level != "failed")
         raise UsageError(f"{code!r} is no finding that can be acknowledged", remedy=f"there are {known}")
     cameras = {camera.id for camera in site.cameras}
-    if unknown := sorted(set(subject) - cameras):
+    unknown = sorted(set(subject) - cameras)
+    if unknown:
         raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=f"its cameras are {', '.join(sorted(cameras))}")
-    today = site.today().isoformat()
-    added = Acknowledgement(name, getpass.getuser(), today, until.isoformat() if until else "", note)
-    _write(site, [*(entry for entry in read(site) if entry.finding != added.finding), added])
+    added = Acknowledgement(
+        finding=name,
+        by=getpass.getuser(),
+        on=site.today().isoformat(),
+        until=until.isoformat() if until else "",
+        note=note,
+    )
+    others = [entry for entry in read(site) if entry.finding != name]
+    _write(site, [*others, added])
     return added
 
 
@@ -125,37 +138,60 @@ def _full_name(site: Site, finding: str) -> str:
         return name
     newest = next((record for _, record in newest_runs(site.work_folder)), None)
     changes = changes_of(newest) if newest else {}
-    if (number := name.removeprefix(CHANGE).strip()) not in changes:
+    number = name.removeprefix(CHANGE).strip()
+    if number not in changes:
         known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in changes.items()) or "none"
         raise UsageError(f"the newest run has no change {number!r}", remedy=f"its changes: {known}")
     change = changes[number]
-    earlier_names = (e.finding for e in read(site) if (old := _change_named(e.finding)) and change.is_same(old))
-    return next(earlier_names, f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}")
+    # a change that is acknowledged already keeps the position that it was acknowledged with
+    for entry in read(site):
+        acknowledged = _change_named(entry.finding)
+        if acknowledged and change.is_same(acknowledged):
+            return entry.finding
+    return f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}"
 
 
 def _change_named(name: str) -> RecordedChange | None:
     """Return kind and position of a change from its name; None for any other name."""
     parts = _NAME.fullmatch(name)
-    return RecordedChange(parts[1], float(parts[2]), float(parts[3]), float(parts[4])) if parts else None
+    if parts is None:
+        return None
+    return RecordedChange(parts[1], float(parts[2]), float(parts[3]), float(parts[4]))
 
 
 def changes_of(record: RunRecord) -> Mapping[str, RecordedChange]:
     """Return the changes of a night by number."""
-    return next((result.objects for result in record.results.values() if isinstance(result, ChangesSummary)), {})
+    for result in record.results.values():
+        if isinstance(result, ChangesSummary):
+            return result.objects
+    return {}
 
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
     """Return the record with its acknowledged changes marked."""
-    acknowledged = [(entry, change) for entry in known if entry.holds(record.date) and (change := _change_named(entry.finding))]
+    acknowledged: list[tuple[Acknowledgement, RecordedChange]] = []
+    for entry in known:
+        change = _change_named(entry.finding)
+        if change and entry.holds(record.date):
+            acknowledged.append((entry, change))
+    if not acknowledged:
+        return record
     results = dict(record.results)
-    for stage, result in record.results.items() if acknowledged else ():
+    for stage, result in record.results.items():
         if isinstance(result, ChangesSummary) and result.changes:
-            changes = {}
-            for number, change in result.changes.items():
-                words = next((entry.words for entry, known_change in acknowledged if change.is_same(known_change)), "")
-                changes[number] = replace(change, acknowledged=words)
+            changes = {number: _with_acknowledgement(change, acknowledged) for number, change in result.changes.items()}
             results[stage] = replace(result, changes=changes)
     return replace(record, results=results)
+
+
+def _with_acknowledgement(
+    change: RecordedChange, acknowledged: Iterable[tuple[Acknowledgement, RecordedChange]]
+) -> RecordedChange:
+    """Return a change with the words of the first acknowledgement of it; "" if there is none."""
+    for entry, known_change in acknowledged:
+        if change.is_same(known_change):
+            return replace(change, acknowledged=entry.words)
+    return replace(change, acknowledged="")
 
 
 def split(
@@ -163,9 +199,11 @@ def split(
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
     """Return the findings of a night that count, and the acknowledged ones, each with its acknowledgement as the remedy."""
     by_name = {entry.finding: entry for entry in known if entry.holds(night)}
-    effective, acknowledged = list[Finding](), list[Finding]()
+    effective: list[Finding] = []
+    acknowledged: list[Finding] = []
     for finding in findings:
         entry = by_name.get(name_of(finding))
+        # what fails a night counts even if the file says otherwise: `add` refuses it, but people edit files
         if entry is None or FINDINGS[finding.kind].level == "failed":
             effective.append(finding)
         else:
@@ -174,5 +212,9 @@ def split(
 
 
 def _write(site: Site, entries: Iterable[Acknowledgement]) -> None:
-    items = [{name: value for name, value in vars(entry).items() if value} for entry in entries]
-    write_atomic(_file_of(site), (_HEAD + yaml.safe_dump(items, sort_keys=False, allow_unicode=True)).encode())
+    items = []
+    for entry in entries:
+        stated = {name: value for name, value in vars(entry).items() if value}
+        items.append(stated)
+    text = yaml.safe_dump(items, sort_keys=False, allow_unicode=True)
+    write_atomic(_file_of(site), (_HEAD + text).encode())

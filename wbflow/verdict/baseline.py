@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import asdict, fields, replace
 from itertools import islice
 from statistics import median
@@ -12,6 +12,7 @@ from statistics import median
 from wbflow_stages.contracts.camera_figures import FrameFigures, Health
 
 from ..cache.layout import WorkFolder
+from ..errors import ExitCode
 from ..pipeline.stages import STAGES
 from ..records.findings import Baseline
 from ..records.record import RunRecord
@@ -32,7 +33,8 @@ def earlier_runs(work: WorkFolder, run: str, date: str) -> tuple[RunRecord, ...]
     by_date: dict[str, RunRecord] = {}
     for _, record in islice(newest_runs(work, before=run), MOST_RUNS):
         later = by_date.get(record.date)
-        is_partial = later is not None and later.cloud is None and later.exit_code in (0, 130)  # not the whole night's work
+        # the last run of a night stands for it, unless it was not the whole night's work (run --until, or interrupted)
+        is_partial = later is not None and later.cloud is None and later.exit_code in (ExitCode.GOOD, ExitCode.INTERRUPTED)
         if record.date <= date and (later is None or is_partial):
             by_date[record.date] = record
     return tuple(sorted(by_date.values(), key=lambda record: (record.date, record.run), reverse=True))
@@ -52,12 +54,18 @@ def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -
 
 def usual_of(records: Sequence[RunRecord]) -> Baseline:
     """The medians of the figures of some nights."""
-    names = dict.fromkeys(camera.id for record in records for camera in record.cameras)
-    appearances = [appearance_of(record) for record in records]
-    cameras = {name: _medians(appearance.get(name, {}) for appearance in appearances) for name in names}
-    return Baseline(
-        len(records), _medians(map(figures_of, records)), {name: medians for name, medians in cameras.items() if medians}
-    )
+    by_camera: dict[str, list[dict[str, float]]] = {}
+    for record in records:
+        for camera in record.cameras:  # lost ones, too, so that cameras keep the order of the records
+            by_camera.setdefault(camera.id, [])
+        for name, figures in appearance_of(record).items():
+            by_camera[name].append(figures)
+    cameras = {}
+    for name, nights in by_camera.items():
+        medians = _medians(nights)
+        if medians:
+            cameras[name] = medians
+    return Baseline(len(records), _medians(map(figures_of, records)), cameras)
 
 
 def figures_of(record: RunRecord) -> dict[str, float]:
@@ -65,7 +73,9 @@ def figures_of(record: RunRecord) -> dict[str, float]:
     figures: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
     if record.pairs:
         figures[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
-    for stage in STAGES if record.poses and record.poses.metric else ():  # else units differ between nights
+    if record.poses is None or not record.poses.metric:  # the unit of lengths differs between nights
+        return figures
+    for stage in STAGES:
         result = record.results.get(stage.name)
         if result and result.amount is not None:
             figures[stage.name] = result.amount
@@ -75,20 +85,30 @@ def figures_of(record: RunRecord) -> dict[str, float]:
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     """The figures of each usable camera that are compared with the usual ones, by id and name: those of its image, the misfit of
     its points, and the share of its pairs that found common points."""
+    names = [field.name for field in fields(FrameFigures)]
     appearances: dict[str, dict[str, float]] = {}
     for camera in record.cameras:
-        if camera.ok:
-            values = {field.name: getattr(camera.figures, field.name) for field in fields(FrameFigures)}
-            values["misfit"] = camera.figures.misfit
-            appearances[camera.id] = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
+        if not camera.ok:
+            continue
+        figures: dict[str, float] = {}
+        for name in (*names, "misfit"):
+            value = getattr(camera.figures, name)
+            if isinstance(value, int | float):
+                figures[name] = float(value)
+        appearances[camera.id] = figures
+    for name, share in _matched_shares(record, appearances.keys()).items():
+        appearances[name]["matched_share"] = share
+    return appearances
+
+
+def _matched_shares(record: RunRecord, usable: Set[str]) -> dict[str, float]:
+    """Return the share of each camera's pairs that found common points, by id; pairs with a lost camera don't count."""
     matched: dict[str, list[bool]] = {}
     for pair in record.pairs:
-        if appearances.keys() >= {*pair.cameras} and pair.matched is not None:  # pairs with a lost camera don't count
+        if pair.matched is not None and usable >= {*pair.cameras}:
             for name in pair.cameras:
                 matched.setdefault(name, []).append(pair.matched)
-    for name, pairs in matched.items():
-        appearances[name]["matched_share"] = sum(pairs) / len(pairs)
-    return appearances
+    return {name: sum(pairs) / len(pairs) for name, pairs in matched.items()}
 
 
 def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
@@ -97,21 +117,26 @@ def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
     What most cameras have in common tonight (fog, a lamp that is out) is not attributed to a single camera; a camera that an
     earlier stage has found unhealthy keeps that health.
     """
+    # 1. each camera's figures relative to its usual ones
     usual = record.usual.cameras if record.usual else {}
     tonight = {name: figures for name, figures in appearance_of(record).items() if usual.get(name)}
-    shares = {
-        name: {figure: value / usual[name][figure] for figure, value in figures.items() if usual[name].get(figure, 0.0) > 0}
-        for name, figures in tonight.items()
-    }
+    shares = {name: _shares(figures, usual[name]) for name, figures in tonight.items()}
+    # 2. what they have in common; a night on which most look better than usual sets no higher standard
     common = {figure: min(share, 1.0) for figure, share in _medians(shares.values()).items()}
+    # 3. each camera compared with the others
     cameras = []
     for camera in record.cameras:
         if camera.id in tonight and (camera.health is None or camera.health.ok):
             health = _health_by_appearance(tonight[camera.id], usual[camera.id], shares[camera.id], common, expected)
-            cameras.append(camera if camera.health and health.ok else replace(camera, health=health))
-        else:
-            cameras.append(camera)
+            if camera.health is None or not health.ok:
+                camera = replace(camera, health=health)
+        cameras.append(camera)
     return replace(record, cameras=tuple(cameras))
+
+
+def _shares(figures: Mapping[str, float], usual: Mapping[str, float]) -> dict[str, float]:
+    """Return the figures that have a usual value above 0, divided by it."""
+    return {name: value / usual[name] for name, value in figures.items() if usual.get(name, 0.0) > 0}
 
 
 def _health_by_appearance(
@@ -124,15 +149,19 @@ def _health_by_appearance(
     """Return the health of a camera from its figures tonight, the usual ones, their ratios, and the usual ratios of the night."""
     figures = {name: value for name, value in tonight.items() if name in usual}
     base = {name: usual[name] for name in figures}
-    if shares.get(Measure.BRIGHTNESS, 1.0) < expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0):
+    least_brightness = expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0)
+    if shares.get(Measure.BRIGHTNESS, 1.0) < least_brightness:
         text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
         return Health("obscured", text, figures, base, "check its lighting and exposure, and whether something blocks its view")
-    if shares.get("sharpness", 1.0) < SHARP_SHARE * common.get("sharpness", 1.0):
+    least_sharpness = SHARP_SHARE * common.get("sharpness", 1.0)
+    if shares.get("sharpness", 1.0) < least_sharpness:
         text = f"its picture has {100 * shares['sharpness']:.0f} % of its usual sharpness"
         return Health("obscured", text, figures, base, "check its focus, and its glass for drops, dirt or fog")
     if shares.get("matched_share", 1.0) < LEAST_MATCHED_SHARE:
-        share, usual_share = (f"{100 * entry['matched_share']:.0f} %" for entry in (tonight, usual))
-        text = f"{share} of its pairs find common points, usually {usual_share} do: it shows another place, or has been turned"
+        share = 100 * tonight["matched_share"]
+        usual_share = 100 * usual["matched_share"]
+        text = f"{share:.0f} % of its pairs find common points, usually {usual_share:.0f} % do:"
+        text += " it shows another place, or has been turned"
         return Health("wrong-scene", text, figures, base, "check its picture, and where it points")
     return Health("ok", figures=figures, expected=base)
 
@@ -144,13 +173,16 @@ def settings_of(site: Site, bindings: Bindings) -> str:
         settings = site.stages[stage.name]
         if settings.enabled:
             bound = bindings.of(stage)
-            stages.append([stage.name, bound.function.dotted, bound.code, {**bound.defaults(), **settings.parameters}])
+            parameters = {**bound.defaults(), **settings.parameters}
+            stages.append([stage.name, bound.function.dotted, bound.code, parameters])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
     content = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _medians(figures: Iterable[dict[str, float]]) -> dict[str, float]:
+def _medians(figures: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return the median of each figure over the entries that have it."""
     values: dict[str, list[float]] = {}
     for entry in figures:
         for name, value in entry.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -38,20 +37,40 @@ class EndedNight:
         state = self.states[task]
         if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
             return state.reason
-        queue, visited, roots = [task], {task}, []
+        # tasks with one stage and one code have the same cause; of the most common one, the first task is the example
+        by_cause: dict[tuple[str, str | None], list[Task]] = {}
+        for root in self._roots(task):
+            by_cause.setdefault((root.stage, self.states[root].code), []).append(root)
+        (stage, _), roots = max(by_cause.items(), key=lambda item: len(item[1]))
+        if stage == FRAMES:  # too few cameras: the reason has their number
+            return state.reason
+        example = roots[0]
+        text = f"{example}: {self.states[example].reason}"
+        if len(roots) > 1:
+            text += f" (and {len(roots) - 1} more like it)"
+        return text
+
+    def _roots(self, task: Task) -> list[Task]:
+        """Return the tasks that a skipped task lacks and that were not skipped themselves, the nearest first."""
+        roots: list[Task] = []
+        queue = [task]
+        visited = {task}
         while queue:
             current = queue.pop(0)
-            causes = [upstream for upstream in self.upstreams(current) if (s := self.states.get(upstream)) and not s.usable]
+            causes = self._unusable_upstreams(current)
             if self.states[current].outcome != "skipped" or not causes:
                 roots.append(current)
                 continue
-            unvisited = [upstream for upstream in dict.fromkeys(causes) if upstream not in visited]
-            visited.update(unvisited)
-            queue += unvisited
-        kinds = Counter((root.stage, self.states[root].code) for root in roots)
-        kind, count = kinds.most_common(1)[0]
-        if kind[0] == FRAMES:  # too few cameras: the reason has their number
-            return state.reason
-        example = next(root for root in roots if (root.stage, self.states[root].code) == kind)
-        suffix = f" (and {count - 1} more like it)" if count > 1 else ""
-        return f"{example}: {self.states[example].reason}{suffix}"
+            for cause in causes:
+                if cause not in visited:
+                    visited.add(cause)
+                    queue.append(cause)
+        return roots
+
+    def _unusable_upstreams(self, task: Task) -> list[Task]:
+        unusable = []
+        for upstream in self.upstreams(task):
+            state = self.states.get(upstream)
+            if state and not state.usable:
+                unusable.append(upstream)
+        return unusable

@@ -11,7 +11,7 @@ from typing import Any
 from wbflow_stages.contracts.camera_figures import DepthFigures, Notes
 from wbflow_stages.contracts.ground_figures import CloudFigures
 from wbflow_stages.contracts.pair_figures import PairsFigures
-from wbflow_stages.contracts.pose_figures import CalibrationCheck
+from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
 
 from .. import __version__
 from ..cache.layout import cloud_name
@@ -51,21 +51,28 @@ def run_record(
     files : mapping
         Names of the files that are published beside the cloud, by stage.
     """
+    site = ended.night.site
     site_wide = _SiteWide.from_plan(ended)
+    # 1. cameras, each from its views
     views: dict[str, list[CameraRecord]] = {}
-    for view in ended.night.site.views:
+    for view in site.views:
         views.setdefault(view.camera, []).append(_camera_record(ended, view.id, site_wide))
     cameras = [_joined_views(records) for records in views.values()]
-    dated = ended.night.site.captures.dated
+    # 2. the night: stated, or the one that the pictures say that they are of
+    dated = site.captures.dated
     night = str(ended.night.date) if dated else night_by_pictures(camera.figures for camera in cameras)
+    date = str(ended.night.date)
+    if night and not ended.night.date_stated:
+        date = night
+    # 3. the clouds, or why there is none
     clouds = _clouds(ended)
     fuse = ended.states.get(Task(FUSE))
     failed_fuse = fuse if fuse and not fuse.usable else None
     return RunRecord(
         run=run,
-        site=ended.night.site.name,
+        site=site.name,
         version=__version__,
-        date=str(ended.night.date) if ended.night.date_stated else night or str(ended.night.date),
+        date=date,
         started=stamp(started),
         finished=stamp(datetime.datetime.now(datetime.UTC)),
         exit_code=ExitCode.GOOD,
@@ -76,7 +83,7 @@ def run_record(
         pairs=tuple(_pair_record(ended, pair, site_wide) for pair in _pairs(ended)),
         cloud=clouds.get(()),
         other_clouds=tuple(cloud for component, cloud in clouds.items() if component),
-        poses=_by_camera(site_wide.poses, _camera_names(ended.night.site)) if ended.is_usable(POSES) else None,
+        poses=_by_camera(site_wide.poses, _camera_names(site)) if ended.is_usable(POSES) else None,
         reason=ended.root_cause(Task(FUSE)) if failed_fuse else None,
         code=failed_fuse.code if failed_fuse else None,
         versions=installed_versions(),
@@ -91,8 +98,9 @@ class _SiteWide:
 
     poses: PosesSummary
     points: Mapping[str, int]
+    """By camera: the number of its points in its cloud."""
     misfits: Mapping[str, float]
-    """By camera: the number of its points in its cloud, and the ratio of their error to the expected one."""
+    """By camera: the ratio of the error of its points to the expected one."""
     crowded: Mapping[str, str]
     """By camera: a note on pairs that the pair graph left out."""
     dense: frozenset[tuple[str, str]]
@@ -100,46 +108,57 @@ class _SiteWide:
 
     @staticmethod
     def from_plan(ended: EndedNight) -> _SiteWide:
-        clouds = [summary_of(state, CloudFigures) for task, state in ended.states.items() if task.stage == FUSE]
-        pairs, dense = (summary_of(ended.states.get(Task(stage)), PairsFigures) for stage in (PAIRS, DENSE_PAIRS))
+        pairs = summary_of(ended.states.get(Task(PAIRS)), PairsFigures)
+        dense = summary_of(ended.states.get(Task(DENSE_PAIRS)), PairsFigures)
         poses = summary_of(ended.states.get(Task(POSES)), PosesSummary)
-        if (row_check := ended.states.get(Task(CALIBRATION))) and row_check.usable:
+        row_check = ended.states.get(Task(CALIBRATION))
+        if row_check and row_check.usable:
             poses = replace(poses, rows=summary_of(row_check, CalibrationCheck))
+        points: dict[str, int] = {}
+        misfits: dict[str, float] = {}
+        for task, state in ended.states.items():  # one cloud for each component of the pair graph
+            if task.stage == FUSE:
+                cloud = summary_of(state, CloudFigures)
+                points.update(cloud.sample_counts)
+                misfits.update(cloud.misfits)
         return _SiteWide(
             poses,
-            points={camera: points for cloud in clouds for camera, points in cloud.sample_counts.items()},
-            misfits={camera: misfit for cloud in clouds for camera, misfit in cloud.misfits.items()},
+            points,
+            misfits,
             crowded={**pairs.crowded, **dense.crowded},
             dense=frozenset(_usable_pairs(ended, DENSE_PAIRS)),
         )
 
 
 def _camera_record(ended: EndedNight, camera: str, site_wide: _SiteWide) -> CameraRecord:
+    """Return the record of a view, which is that of its camera if it has no other."""
     captures = {file.name: file.digest for file in ended.night.files.captures[camera_of(camera)]}
     record = CameraRecord(camera, "ok", captures=captures, health=ended.health_of(camera))
     figures: dict[str, Any] = {}
     notes: list[str] = []
     for stage, kind in _stages_in(CameraFigures):
         state = ended.states.get(Task(stage.name, (camera,)))
-        if state and not state.usable:
+        if state and not state.usable:  # site-wide results cannot contain it
             record = replace(record, outcome=state.outcome, reason=state.reason, code=state.code)
-            break
+            return replace(record, notes=tuple(notes), figures=CameraFigures(**figures))
         notes += summary_of(state, Notes).notes
         figures |= _not_none(summary_of(state, kind))
-    else:
-        poses = site_wide.poses
-        pose_check, moved = poses.pose_checks.get(camera), poses.issues_of("moved").get(camera)
-        depth = summary_of(ended.states.get(Task(DEPTH, (camera,))), DepthFigures)
-        figures["pose"] = pose_check
-        figures["verified"] = pose_check.verified if pose_check else None
-        figures["pose_from"] = poses.sources.get(camera)
-        figures["points"] = site_wide.points.get(camera)
-        figures["misfit"] = site_wide.misfits.get(camera)
-        figures["offset_px"] = depth.offset_px or None
-        notes += [site_wide.crowded[camera]] if camera in site_wide.crowded else []
-        notes += [moved.text] if moved else []
-        if camera in poses.unsolved:
-            record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
+    poses = site_wide.poses
+    pose_check = poses.pose_checks.get(camera)
+    depth = summary_of(ended.states.get(Task(DEPTH, (camera,))), DepthFigures)
+    figures["pose"] = pose_check
+    figures["verified"] = pose_check.verified if pose_check else None
+    figures["pose_from"] = poses.sources.get(camera)
+    figures["points"] = site_wide.points.get(camera)
+    figures["misfit"] = site_wide.misfits.get(camera)
+    figures["offset_px"] = depth.offset_px or None
+    if camera in site_wide.crowded:
+        notes.append(site_wide.crowded[camera])
+    moved = poses.issues_of("moved").get(camera)
+    if moved:
+        notes.append(moved.text)
+    if camera in poses.unsolved:
+        record = replace(record, outcome="unsolved", reason=poses.unsolved[camera], code=Cause.UNSOLVED)
     return replace(record, notes=tuple(notes), figures=CameraFigures(**figures))
 
 
@@ -151,6 +170,7 @@ def _with_staleness(record: CameraRecord, night: str, dated: bool) -> CameraReco
 
 
 def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide) -> PairRecord:
+    """Return the record of a pair; its outcome is that of the last stage that made nothing, skipped ones aside."""
     figures: dict[str, Any] = {}
     success: dict[str, Any] = {"outcome": "ok"}
     outcome = success
@@ -160,13 +180,15 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
             continue
         figures |= _not_none(summary_of(state, kind))
         if state.usable and stage.name == DISPARITY:
-            outcome = success
+            outcome = success  # the poses alone sufficed for dense matching
         elif not state.usable and (outcome is success or state.outcome != "skipped"):
             outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
-    geometry = ended.states.get(Task(GEOMETRY, pair))
-    if check := site_wide.poses.pair_checks.get("--".join(pair)):
+    check = site_wide.poses.pair_checks.get("--".join(pair))
+    if check:
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
-    matched, dense = geometry.usable if geometry else None, pair in site_wide.dense if site_wide.dense else None
+    geometry = ended.states.get(Task(GEOMETRY, pair))
+    matched = geometry.usable if geometry else None
+    dense = pair in site_wide.dense if site_wide.dense else None
     return PairRecord(*pair, **outcome, matched=matched, dense=dense, figures=PairFigures(**figures))
 
 
@@ -181,18 +203,19 @@ def _not_none(summary: object) -> dict[str, Any]:
 
 def _pairs(ended: EndedNight) -> list[tuple[str, str]]:
     """Pairs that are matched sparsely or densely; if dense pairs are chosen separately, in the order of the site file."""
-    matched, dense = _usable_pairs(ended, PAIRS), _usable_pairs(ended, DENSE_PAIRS)
+    matched = _usable_pairs(ended, PAIRS)
+    dense = _usable_pairs(ended, DENSE_PAIRS)
+    if not dense:
+        return matched
     position = {view.id: k for k, view in enumerate(ended.night.site.views)}
-    return sorted({*matched, *dense}, key=lambda pair: [position[view] for view in pair]) if dense else matched
+    return sorted({*matched, *dense}, key=lambda pair: [position[view] for view in pair])
 
 
 def _usable_pairs(ended: EndedNight, stage: str) -> list[tuple[str, str]]:
-    return list(summary_of(ended.states[Task(stage)], PairsFigures).pairs) if ended.is_usable(stage) else []
-
-
-def _is_usable(ended: EndedNight, stage: str) -> bool:
-    state = ended.states.get(Task(stage))
-    return state is not None and state.usable
+    """Return the pairs that a stage has chosen; [] if it left no result."""
+    if not ended.is_usable(stage):
+        return []
+    return list(summary_of(ended.states[Task(stage)], PairsFigures).pairs)
 
 
 def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
@@ -206,12 +229,18 @@ def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
 
 
 def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
+    """Yield name and summary of each site-wide stage that has one; without a result, a summary that says why."""
     for stage in ended.night.stages:
-        if stage.summary and issubclass(stage.summary, SiteSummary):
-            state = ended.states.get(Task(stage.name))
-            summary = summary_of(state, stage.summary) if state and state.usable else stage.summary()
-            reason = state.reason if state and not state.usable else None
-            yield stage.name, replace(summary, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
+        if not stage.summary or not issubclass(stage.summary, SiteSummary):
+            continue
+        state = ended.states.get(Task(stage.name))
+        summary = stage.summary()
+        reason = None
+        if state and state.usable:
+            summary = summary_of(state, stage.summary)
+        elif state:
+            reason = state.reason
+        yield stage.name, replace(summary, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
 
 
 def _joined_views(views: Sequence[CameraRecord]) -> CameraRecord:
@@ -220,27 +249,34 @@ def _joined_views(views: Sequence[CameraRecord]) -> CameraRecord:
         return views[0]
     usable = [view for view in views if view.ok]
     used = usable or list(views)
-    lost = tuple(f"{view.id}: {view.reason or view.outcome}" for view in views if usable and not view.ok)
-    notes = tuple(dict.fromkeys(note for view in views for note in view.notes))
-    joined = {
-        name: _joined_figure([getattr(view.figures, name) for view in used], name in _SUMMED) for name in vars(used[0].figures)
-    }
+    notes: dict[str, None] = {}  # in order, each once: views often have the same
+    for view in views:
+        notes.update(dict.fromkeys(view.notes))
+    lost = []
+    if usable:  # else the outcome of the camera is that of its first view
+        lost = [f"{view.id}: {view.reason or view.outcome}" for view in views if not view.ok]
+    joined = {}
+    for name in vars(used[0].figures):
+        values = [getattr(view.figures, name) for view in used]
+        joined[name] = _joined_figure(values, name in _SUMMED)
     figures = CameraFigures(**joined)
     return replace(used[0], id=camera_of(views[0].id), notes=(*notes, *lost), figures=figures)
 
 
 def _joined_figure(values: Sequence[Any], is_summed: bool) -> Any:
+    """Return a camera's figure from those of its views: all of them hold, their sum or mean, else the first one that is known."""
     known = [value for value in values if value is not None]
     if not known:
         return None
-    if all(isinstance(value, bool) for value in known):
+    if all(isinstance(value, bool) for value in known):  # before numbers: a bool is an int
         return all(known)
-    if all(isinstance(value, int | float) for value in known):
-        if is_summed:
-            return sum(known)
-        mean = sum(known) / len(known)
-        return round(mean) if all(isinstance(value, int) for value in known) else mean
-    return known[0]
+    if not all(isinstance(value, int | float) for value in known):
+        return known[0]
+    if is_summed:
+        return sum(known)
+    mean = sum(known) / len(known)
+    is_count = all(isinstance(value, int) for value in known)
+    return round(mean) if is_count else mean
 
 
 def _camera_names(site: Site) -> dict[str, str]:
@@ -249,11 +285,15 @@ def _camera_names(site: Site) -> dict[str, str]:
 
 
 def _by_camera(poses: PosesSummary, camera_names: Mapping[str, str]) -> PosesSummary:
-    """Return the summary with camera ids instead of the ids of views."""
-    issues = {(issue.kind, camera_names.get(issue.camera, issue.camera)): issue for issue in reversed(poses.issues)}
-    named = [replace(issue, camera=camera) for (_, camera), issue in reversed(issues.items())]
+    """Return the summary with camera ids instead of the ids of views; a camera keeps the first issue of each kind."""
+    issues: dict[tuple[str, str], PoseIssue] = {}
+    # backwards, so that the first issue of a camera wins, but stands where its last one stood
+    for issue in reversed(poses.issues):
+        camera = camera_names.get(issue.camera, issue.camera)
+        issues[issue.kind, camera] = replace(issue, camera=camera)
     renamed = {name: _with_camera_names(value, camera_names) for name, value in vars(poses).items()}
-    return replace(poses, **renamed | {"issues": tuple(named)})
+    renamed["issues"] = tuple(reversed(issues.values()))
+    return replace(poses, **renamed)
 
 
 def _with_camera_names(value: Any, camera_names: Mapping[str, str]) -> Any:
