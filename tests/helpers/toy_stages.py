@@ -126,6 +126,7 @@ def solve_poses(
     *,
     worlds: int = 1,
     leave_out: str = "",
+    metric: bool = True,
 ) -> Poses | Rejected:
     """Cameras in a row, distributed among `worlds` components; `leave_out` stays unsolved."""
     _trouble("poses")
@@ -136,7 +137,7 @@ def solve_poses(
         n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds, lens=views[n].lens)
         for i, n in enumerate(names)
     }
-    return Poses(cameras, unsolved=unsolved, metric=True, source="calibration", components=groups, crs=survey.crs)
+    return Poses(cameras, unsolved=unsolved, metric=metric, source="calibration", components=groups, crs=survey.crs)
 
 
 def rectify(

@@ -165,17 +165,21 @@ def _for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
 
 
 def _print_run(finished: Run, several: bool, quiet: bool) -> None:
+    from ..records.record import STATE_SCALE
+
     record, paths = finished.record, finished.run_folder.paths
     if not quiet:
         if several:
             echo(f"{record.site}, night {record.date}, run {record.run}:")
         if record.verdict and record.verdict.good and not record.verdict.findings:
-            echo(f"{record.site}, night of {record.date}: {LEVELS[record.verdict.level]}")
+            echo(_verdict_line(record))
         tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
         echo(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
         if record.cloud:
             echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
         echo(f"report  {paths.report}")
+        if record.unscaled:
+            echo(f"scale   unknown: {STATE_SCALE}")
     if record.exit_code or not quiet:
         print_findings(record)
 
@@ -185,7 +189,7 @@ def print_findings(record: RunRecord) -> None:
     verdict = record.verdict
     if verdict is None or (verdict.good and not verdict.findings):
         return
-    echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}", err=True)
+    echo(_verdict_line(record), err=True)
     texts = list(_finding_texts(verdict.findings))
     for remedy, with_this_remedy in groupby(texts[:MOST_FINDINGS], key=itemgetter(1)):
         for text, _ in with_this_remedy:
@@ -194,6 +198,15 @@ def print_findings(record: RunRecord) -> None:
             echo(f"    {remedy}", err=True)
     if (omitted := len(texts) - MOST_FINDINGS) > 0:
         echo(f"  and {omitted} more: the report has them", err=True)
+
+
+def _verdict_line(record: RunRecord) -> str:
+    """Return the line that says how the night was, and whether lengths in its cloud are metres."""
+    from ..records.record import NO_SCALE
+
+    verdict = LEVELS[record.verdict.level] if record.verdict else "no verdict"
+    scale = f"; {NO_SCALE}" if record.unscaled else ""
+    return f"{record.site}, night of {record.date}: {verdict}{scale}"
 
 
 def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:

@@ -134,12 +134,20 @@ class PairRecord(FlatJsonDataclass):
         return f"PairRecord({self.name!r}, {self.outcome}{f': {self.reason}' if self.reason else ''})"
 
 
+NO_SCALE = "lengths are arbitrary"
+"""What is said of a cloud whose lengths are not metres."""
+STATE_SCALE = "state one measured distance between two cameras in metres, `distances: [[LEFT, RIGHT, 12.3]]`, or their positions"
+"""How a cloud gets metres."""
+
+
 @dataclass(frozen=True)
 class CloudRecord(CloudSize, JsonDataclass):
     """A cloud of a run."""
 
     path: str = field(kw_only=True)
     """File of the cloud, relative to the run's folder."""
+    metric: bool = field(default=True, kw_only=True)
+    """Are lengths known to be metres?"""
 
 
 @dataclass(frozen=True)
@@ -183,6 +191,11 @@ class RunRecord(JsonDataclass):
     """Id of the reference's run, if the run was compared with a reference (see `records.reference`)."""
     results: Annotated[Mapping[str, SiteSummary], Field(exclude=True)] = field(default_factory=dict)
     """Summaries of site-wide stages, by stage; in run.json each one is a top-level entry under its stage's name."""
+
+    @property
+    def unscaled(self) -> bool:
+        """Is there a cloud whose lengths are not metres?"""
+        return self.cloud is not None and not self.cloud.metric
 
     def pairs_of(self, camera: str) -> list[PairRecord]:
         """Return the pairs that a camera is part of."""

@@ -15,7 +15,7 @@ from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import CHANGES, STAGES
 from ..pipeline.summaries import ChangesSummary, PairFigures, RecordedChange, SiteSummary
 from ..records.findings import Finding
-from ..records.record import CameraRecord, PairRecord, RunRecord
+from ..records.record import NO_SCALE, STATE_SCALE, CameraRecord, PairRecord, RunRecord
 from ..runner.state import Cause
 from ..site.models import Measure
 from ..task import Task
@@ -84,13 +84,22 @@ def headline(data: ReportData) -> tuple[str, str, str]:
     changes = _changes_sentence(data)
     if level == "good":
         advice = "The findings below may wait." if findings else f"There is nothing to {'repair' if changes else 'do'}."
-        return level, "A good night", f"{changes} {advice}".strip()
+        return level, "A good night", _sentences(changes, _scale_sentence(record), advice)
     if level == "degraded":
         title = f"{counted(len(cameras), 'camera')} to look at" if cameras else f"{counted(len(findings), 'thing')} to look at"
-        cloud = "There is a cloud, but it is not as good as it should be. " if record.cloud else ""
-        return level, title, f"{cloud}{_first_remedy(findings)} {changes}".strip()
+        cloud = "There is a cloud, but it is not as good as it should be." if record.cloud else ""
+        return level, title, _sentences(cloud, _first_remedy(findings), changes, _scale_sentence(record))
     title = "Interrupted" if any(finding.kind == "interrupted" for finding in findings) else "No cloud this night"
     return level, title, _same_fault(record, cameras) or _first_remedy(findings) or "The reasons are below."
+
+
+def _sentences(*sentences: str) -> str:
+    return " ".join(sentence for sentence in sentences if sentence)
+
+
+def _scale_sentence(record: RunRecord) -> str:
+    """Return what to do about a cloud whose lengths are not metres."""
+    return f"{NO_SCALE.capitalize()}, not metres: {STATE_SCALE}." if record.unscaled else ""
 
 
 def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
@@ -131,6 +140,8 @@ def facts(data: ReportData) -> Iterator[Fact]:
         yield Fact(f"{usable_pairs} of {all_pairs}", "pairs of cameras", grade=_grade(usable_pairs, usual_pairs))
     if record.cloud:
         yield measured_fact(Measure.POINTS, "", "points")
+    if record.unscaled:
+        yield Fact("no scale", NO_SCALE, grade="fair")
     if record.poses and record.poses.unverified:
         yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
     for stage, result in record.results.items():

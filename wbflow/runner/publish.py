@@ -34,6 +34,9 @@ from .night import Night
 from .plan import Plan
 from .state import summary_of
 
+_OTHER_WORLD = ("unit unknown: these cameras are not connected to the others, and have a frame and a scale of their own",)
+"""PLY comments of a cloud beside the main one."""
+
 Draw = Callable[[Night, RunRecord, Journal, Mapping[str, Any], Path], str]
 """Draws the report of a run: its night, record, events and cameras, and the folder with its files; returns HTML."""
 
@@ -63,10 +66,11 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     # 1. the products: clouds, cameras, and the files that stages make of their results
     has_poses = Task(POSES) in artifacts
     cameras = _cameras(plan, artifacts[Task(POSES)]) if has_poses else {}
-    comments = _place_comments(summary_of(plan.states[Task(POSES)], PosesSummary).crs) if has_poses else ()
+    world = summary_of(plan.states[Task(POSES)], PosesSummary) if has_poses else PosesSummary()
     for task, product in artifacts.items():
         if task.stage == FUSE:
-            unfinished.write(cloud_name(task.subject), with_comments(product, () if task.subject else comments))
+            comments = _OTHER_WORLD if task.subject else (*_unit_comments(world.metric), *_place_comments(world.crs))
+            unfinished.write(cloud_name(task.subject), with_comments(product, comments))
     if has_poses:
         unfinished.write_cameras(cameras)
     files: dict[str, list[str]] = {}
@@ -107,6 +111,16 @@ def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
         product = load(stage_named(POSES).products.product_files["cameras"])(artifact.decode(poses))
     cameras: dict[str, Any] = json.loads(product)
     return cameras
+
+
+def _unit_comments(metric: bool) -> tuple[str, ...]:
+    """Return PLY comments on the unit of lengths."""
+    if metric:
+        return ("unit metre",)
+    return (
+        "unit arbitrary: no camera position, distance or board states a scale",
+        "sigma_mm is in thousandths of that unit, not in millimetres",
+    )
 
 
 def _place_comments(crs: str) -> tuple[str, ...]:

@@ -219,12 +219,22 @@ def _usable_pairs(ended: EndedNight, stage: str) -> list[tuple[str, str]]:
 
 
 def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
-    """Return the clouds by component; that of () is the main one."""
+    """Return the clouds by component; that of () is the main one.
+
+    The scale of the cameras that form another component is not recorded, so that its lengths are not known to be metres.
+    """
     clouds = {}
+    is_metric = summary_of(ended.states.get(Task(POSES)), PosesSummary).metric
     for task, state in ended.states.items():
         if task.stage == FUSE and state.usable:
             cloud = summary_of(state, CloudFigures)
-            clouds[task.subject] = CloudRecord(cloud.points, cloud.bounds, cloud.correct_share, path=cloud_name(task.subject))
+            clouds[task.subject] = CloudRecord(
+                path=cloud_name(task.subject),
+                points=cloud.points,
+                bounds=cloud.bounds,
+                correct_share=cloud.correct_share,
+                metric=is_metric and not task.subject,
+            )
     return clouds
 
 

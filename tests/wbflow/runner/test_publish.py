@@ -70,6 +70,38 @@ def test_files_and_figures_of_a_stage_are_published_with_the_cloud(toy_with_file
     assert "href='toy.txt'" in page
 
 
+def header_of(cloud: Path) -> list[str]:
+    return cloud.read_bytes().partition(b"end_header")[0].decode().splitlines()
+
+
+def test_a_cloud_in_metres_says_so(toy: ToySite) -> None:
+    assert toy.run()["cloud"]["metric"] is True
+    assert "comment unit metre" in header_of(latest(toy) / "cloud.ply")
+    assert "lengths are arbitrary" not in (latest(toy) / "report.html").read_text().lower()
+
+
+def test_a_cloud_without_scale_says_so_wherever_it_is_read(toy: ToySite) -> None:
+    toy.parameters["poses"] = {"metric": False}
+    toy.write()
+    assert toy.run()["cloud"]["metric"] is False
+    header = header_of(latest(toy) / "cloud.ply")
+    assert "comment unit arbitrary: no camera position, distance or board states a scale" in header
+    assert "comment sigma_mm is in thousandths of that unit, not in millimetres" in header
+    assert "lengths are arbitrary, not metres: state one measured distance" in (latest(toy) / "report.html").read_text().lower()
+    said = toy.wbflow("run").stdout.splitlines()
+    assert said[-6].endswith("good: nothing to look at; lengths are arbitrary")
+    assert said[-2].startswith("scale   unknown: state one measured distance between two cameras in metres")
+
+
+def test_the_scale_of_cameras_that_are_not_connected_is_unknown(toy: ToySite) -> None:
+    toy.parameters["poses"] = {"worlds": 2}
+    toy.write()
+    record = toy.run(code=None)
+    assert [cloud["metric"] for cloud in (record["cloud"], *record["other_clouds"])] == [True, False]
+    unknown = [line for line in header_of(latest(toy) / record["other_clouds"][0]["path"]) if "unit unknown" in line]
+    assert len(unknown) == 1
+
+
 def test_a_failure_to_make_files_is_logged_and_the_run_goes_on(toy_with_files: ToySite) -> None:
     write(toy_with_files, "third", fails=True)
     toy_with_files.run()
