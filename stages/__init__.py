@@ -14,7 +14,8 @@ Conventions that hold everywhere:
 * **Epipolar geometry**: `x2^T F x1 = 0`, F of unit Frobenius norm.
 * **Disparity**: after rectification a point lies on the same row in both images and `x2 = x1 - d`.
 * **Angles** are in radians, and in degrees only where the name says so (`_deg`).
-* A function that finds nothing usable *returns* `Rejected` with a reason and figures; bad input *raises* `ValueError`.
+* A function that finds nothing usable *returns* `Rejected` with a reason and figures, which `usable` turns into an error; bad
+  input *raises* `ValueError`.
 * The same inputs give the same bytes: every random choice has an explicit seed.
 
 The exported functions turn two photographs into disparity: README.md has an example.
@@ -25,7 +26,32 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for type checkers and editors: the names below
+    from . import types as types
+    from .contracts.reasons import Rejected as Rejected
+    from .contracts.reasons import usable as usable
+    from .depth import view_depth as view_depth
+    from .disparity import match_dense as match_dense
+    from .exports.previews import cloud_preview as cloud_preview
+    from .exports.previews import depth_preview as depth_preview
+    from .exports.previews import disparity_preview as disparity_preview
+    from .exports.previews import frame_preview as frame_preview
+    from .exports.previews import matches_preview as matches_preview
+    from .exports.previews import rectified_preview as rectified_preview
+    from .features import detect as detect
+    from .frames import clean_frame as clean_frame
+    from .fuse import fuse as fuse
+    from .geometry import estimate_geometry as estimate_geometry
+    from .matches import match as match
+    from .overlap import estimate_overlap as estimate_overlap
+    from .photographs import read_frame as read_frame
+    from .poses import solve_poses as solve_poses
+    from .rectification.warping import disparity_px as disparity_px
+    from .rectification.warping import warp as warp
+    from .rectify import rectify as rectify
+    from .refine import refine as refine
 
 _EXPORTED = {
     "read_frame": "photographs",
@@ -42,21 +68,30 @@ _EXPORTED = {
     "fuse": "fuse",
     "warp": "rectification.warping",
     "disparity_px": "rectification.warping",
+    "frame_preview": "exports.previews",
+    "matches_preview": "exports.previews",
+    "rectified_preview": "exports.previews",
+    "disparity_preview": "exports.previews",
+    "depth_preview": "exports.previews",
+    "cloud_preview": "exports.previews",
     "Rejected": "contracts.reasons",
+    "usable": "contracts.reasons",
 }
-"""Exported names, and the module that defines each: it is imported on first access."""
+"""Exported names, and the module that defines each: it is imported on first access, and so is `types`."""
 
-__all__ = list(_EXPORTED)
+__all__ = ["types", *_EXPORTED]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "types":
+        return import_module(f"{__name__}.types")
     if name not in _EXPORTED:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_EXPORTED[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_EXPORTED})
+    return sorted({*globals(), *__all__})
 
 
 class _Package(ModuleType):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TypeVar
 
 _LOOP_FIGURES = (
     " (score {score:.1f}, {distinct_cells:.0f} cells with distinctive matches, {closed:.0f} of {triangles:.0f} triangles close)"
@@ -154,3 +155,13 @@ class Rejected:
         if self.words or not isinstance(self.why, Reason):
             return self.words or self.why
         return self.why.template.format_map(self.figures).replace("%", " %")
+
+
+Result = TypeVar("Result")
+
+
+def usable(result: Result | Rejected) -> Result:
+    """The result itself, for programs that cannot go on without it.  Raises ValueError with the reason if it is `Rejected`."""
+    if isinstance(result, Rejected):
+        raise ValueError(result.reason)
+    return result

@@ -24,11 +24,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_two_photographs_become_disparity_with_a_few_calls(folder: Path) -> None:
     left, right = wb.read_frame(folder / "left.png"), wb.read_frame(folder / "right.png")
-    features = wb.detect(left), wb.detect(right)
-    matches = wb.match(*features)
-    geometry = wb.estimate_geometry(matches, *features)
-    rectification = wb.rectify(geometry)
-    disparity = wb.match_dense(left, right, rectification, matcher="sgbm")
+    features = wb.usable(wb.detect(left)), wb.usable(wb.detect(right))
+    matches = wb.usable(wb.match(*features))
+    geometry = wb.usable(wb.estimate_geometry(matches, *features))
+    rectification = wb.usable(wb.rectify(geometry))
+    disparity = wb.usable(wb.match_dense(left, right, rectification, matcher="sgbm"))
     d = wb.disparity_px(disparity, 1)
     assert np.isfinite(d).mean() > 0.2 and disparity.density > 0.3
     for result in (left, *features, matches, geometry, rectification, disparity):
@@ -45,6 +45,7 @@ def test_stages_are_functions_even_after_importing_their_modules() -> None:
     code = (
         "import wbflow_stages as wb, sys\n"
         "assert 'numpy' not in sys.modules and 'cv2' not in sys.modules, 'the package loads heavy libraries'\n"
+        "assert wb.types.Frame.__name__ == 'Frame' and 'cv2' not in sys.modules\n"
         "import wbflow_stages.rectify\nfrom wbflow_stages.fuse import fuse\n"
         "assert callable(wb.rectify) and wb.fuse is fuse and callable(wb.refine)\n"
         "import wbflow_stages.refine\nassert callable(wb.refine) and 'match' in dir(wb)\n"
@@ -55,3 +56,9 @@ def test_stages_are_functions_even_after_importing_their_modules() -> None:
 def test_an_unknown_name_of_the_package_raises_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'mtach'"):
         _ = wb.mtach
+
+
+def test_a_rejected_result_that_is_needed_raises_its_reason() -> None:
+    assert wb.usable("a result") == "a result"
+    with pytest.raises(ValueError, match="12 matches, 20 are needed"):
+        wb.usable(wb.Rejected("12 matches, 20 are needed"))
