@@ -99,7 +99,8 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
         return
     if not lens.width or not lens.height:
         return
-    (fx, _, cx), (_, fy, cy) = lens.K[0], lens.K[1]
+    fx, _, cx = lens.K[0]
+    _, fy, cy = lens.K[1]
     field_deg = _field_deg(lens, fx)
     most_deg = WIDEST_PINHOLE_DEG if lens.model in {"pinhole", "brown", "rational"} else WIDEST_DEG
     if lens.model != "equirectangular" and field_deg > most_deg:
@@ -119,7 +120,8 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
         doubts.add(location, what, "give K, width and height of the same picture; width comes before height")
     if entry.distortion is not None:
         location = ("cameras", position, "distortion")
-    _check_distortion(location, lens, min(lens.width / fx, lens.height / fy) / 4, problems, doubts)
+    halfway = min(lens.width / fx, lens.height / fy) / 4
+    _check_distortion(location, lens, halfway, problems, doubts)
 
 
 def _field_deg(lens: Lens, fx: float) -> float:
@@ -146,7 +148,9 @@ def _check_distortion(location: Location, lens: Lens, halfway: float, problems: 
     if is_folded or not LEAST_SCALE <= scale <= MOST_SCALE:
         largest = max(lens.distortion, key=abs)
         what = f"a coefficient of distortion is {largest:g}: a point {halfway:.2g} from the middle would be at {images[-1]:.2g}"
-        what += " (in focal lengths), and the picture would be folded" if is_folded else " (in focal lengths)"
+        what += " (in focal lengths)"
+        if is_folded:
+            what += ", and the picture would be folded"
         problems.add(location, what, "give the coefficients in the order of the model, for pixels divided by the focal length")
         return
     if lens.model != "fisheye" and len(lens.distortion) > 3:
@@ -188,7 +192,8 @@ def polygon_outside(polygon: Sequence[Sequence[float]], size: tuple[int, int]) -
     Corners up to 1 are shares of the picture's sides.
     """
     width, height = size
-    xs, ys = [corner[0] for corner in polygon], [corner[1] for corner in polygon]
+    xs = [corner[0] for corner in polygon]
+    ys = [corner[1] for corner in polygon]
     if max(*xs, *ys) <= 1:
         return ""
     reach = f"the polygon reaches from {min(xs):g}, {min(ys):g} to {max(xs):g}, {max(ys):g}, the picture is {width}x{height}"
@@ -205,10 +210,9 @@ def _check_places(file: SiteFile, cameras: Sequence[Camera], problems: Problems,
     if len(centres) < 2:
         return
     middle = [statistics.median(centre[axis] for centre in centres.values()) for axis in range(3)]
+    # from the median, so that one camera that is off does not move the middle
     far = {k: math.dist(centre, middle) for k, centre in centres.items()}
-    spread = (
-        max(math.dist(a, b) for a, b in itertools.combinations(centres.values(), 2)) if len(centres) < 50 else max(far.values())
-    )
+    spread = max(math.dist(a, b) for a, b in itertools.combinations(centres.values(), 2))
     if not spread <= FARTHEST_M:  # also if it is not a number
         k = max(far, key=lambda index: (_swapped_is_nearer(file, index), far[index]))
         what = f"camera {cameras[k].id} is {number(spread / 1000)} km from another; those of one site are within 100 km"
@@ -242,7 +246,9 @@ def _swapped_is_nearer(file: SiteFile, k: int) -> bool:
 def _remedy_of_far(file: SiteFile, k: int) -> str:
     own = _geodetic(file, k)
     if own and _swapped_is_nearer(file, k):
-        return f"latitude and longitude seem to be exchanged: latitude: {own[1]:g}, longitude: {own[0]:g}"
+        located = sum(_geodetic(file, j) is not None for j in range(len(file.cameras)))
+        other = ", or those of the other camera" if located == 2 else ""  # of two, either may be the wrong one
+        return f"latitude and longitude seem to be exchanged: latitude: {own[1]:g}, longitude: {own[0]:g}{other}"
     return "give all positions in the same coordinates, in metres or in degrees"
 
 

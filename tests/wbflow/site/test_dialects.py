@@ -396,7 +396,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "an unknown key": ({"skew": 0.1}, "gate.skew is not read"),
     "a misspelt key": ({"positon_sigma_m": 0.1}, "gate.positon_sigma_m is not read.*\n.*did you mean 'position_sigma_m'"),
     "a principal point in c": ({"c": [1, 2]}, "gate.c is not read"),
-    "a unit": ({"unit": "mm"}, "gate.unit is not read"),
+    "a unit": ({"unit": "mm"}, "gate.unit is mm, and lengths are metres here"),
     "an unknown convention": ({"c2w": C2W.tolist(), "convention": "unity"}, "gate.convention is not known"),
     "a rotation with a scale": ({"w2c": (2 * W2C).tolist()}, "gate.w2c must be 4x4|begin with a rotation"),
     "a mirror": ({"R": (-R).tolist(), "t": T.tolist()}, "gate.R is a mirror"),
@@ -432,3 +432,21 @@ def test_a_key_that_stands_twice_in_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text('{"gate": {"K": 1, "K": 2}}')
     with pytest.raises(SiteError, match="the key 'K' is there twice"):
         read_calibration(tmp_path / "c.json")
+
+
+def test_inner_mappings_of_intrinsics_and_extrinsics_are_read(tmp_path: Path) -> None:
+    intrinsics = {"fx": 402.5, "fy": 399.1, "cx": 318.2, "cy": 243.7, "width": WIDTH, "height": HEIGHT}
+    entry = {"intrinsics": intrinsics, "distortion": BROWN, "extrinsics": {"R": R.tolist(), "t": T.tolist()}, "units": "m"}
+    as_camera(read_calibration(write(tmp_path / "c.json", {"gate": entry}))["gate"])
+    for changed in ({"fx": 1}, {"units": "mm"}, {"intrinsics": intrinsics | {"odd": 1}}):
+        with pytest.raises(SiteError, match=r"fx, which is given|is mm, and lengths are metres|odd is not read"):
+            read_calibration(write(tmp_path / "c.json", {"gate": entry | changed}))
+
+
+@pytest.mark.parametrize("name", ["gate", "gate-camchain", "camchain-gate", "gate_calibration", "calib_gate"])
+def test_one_camera_of_kalibr_without_a_name_has_that_of_its_file(tmp_path: Path, name: str) -> None:
+    entry = {"camera_model": "pinhole", "intrinsics": [402.5, 399.1, 318.2, 243.7], "resolution": [WIDTH, HEIGHT]}
+    write(tmp_path / f"{name}.yaml", entry | {"distortion_model": "radtan", "distortion_coeffs": BROWN[:4]})
+    write(tmp_path / "roof.yaml", {"cam0": entry | {"distortion_model": "none"}})
+    (camera,) = find_cameras(read_calibration(tmp_path), "gate").values()
+    assert camera.lens.K == K

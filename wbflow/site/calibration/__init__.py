@@ -31,6 +31,8 @@ _SUFFIXES = {".yaml", ".yml", ".json", ".xml"}
 _COLMAP_NAMES = {"cameras.txt", "images.txt", "cameras.bin", "images.bin"}
 _NAME_KEYS = ("name", "id", "camera", "camera_name", "camera_id", "img_name", "image_name", "file_name", "label")
 """Keys for the name of a camera in a list of cameras."""
+_PROGRAM_WORDS = re.compile(r"^(camchain|calib|calibration|intrinsics)[-_.]|[-_.](camchain|calib|calibration|intrinsics)$")
+"""What programs put before or after the name of a camera in the names of their files: `gate-camchain.yaml`."""
 _OWN_REMEDY = "give K (3x3), width, height and, where known, R (3x3) and C (3 numbers): x ~ K R (X - C); see sites/README.md"
 
 
@@ -99,7 +101,7 @@ def _read_folder(folder: Path) -> dict[str, Calibrated]:
         entries = read_calibration(file)
         if (camera := only_camera(entries)) is not None:
             # a file with one camera has the camera's name; a name inside it comes from the calibration program
-            entries = {file.stem: camera}
+            entries = dict.fromkeys((file.stem, _PROGRAM_WORDS.sub("", file.stem) or file.stem), camera)
         for name, entry in entries.items():
             if name in cameras:
                 what = f"holds a camera {name!r}, and so does {file_of[name].name}: which is which is not stated"
@@ -196,6 +198,8 @@ def _cameras_in(data: Any, stem: str) -> dict[str, Calibrated]:
         return read_transforms(data)
     if is_chain(data):
         return read_chain(data)
+    if is_chain({stem: data}) and "resolution" in data:
+        return read_chain({stem: data})  # one camera of a chain, without its name
     if is_camera(data):
         entry = Entry(data)
         return {text_of(entry.value("camera_name")) or stem: read_camera(entry, needs_distortion=True)}

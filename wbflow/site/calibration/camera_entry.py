@@ -48,6 +48,8 @@ def read_camera(entry: Entry, needs_distortion: bool = False) -> Calibrated:
 
     needs_distortion: refuse an entry without distortion: programs always write it, so it may be under an unknown name.
     """
+    entry.unfold("intrinsics", "intrinsic", "camera_intrinsics", "extrinsics", "extrinsic", "pose")
+    _refuse_other_units(entry)
     if _is_camera_info(entry):
         # the rotation and projection of *rectified* images, which are no pose of the camera
         entry.ignore("header", "rectification_matrix", "projection_matrix", "R", "r", "P", "p")
@@ -73,6 +75,12 @@ def read_camera(entry: Entry, needs_distortion: bool = False) -> Calibrated:
         fields["metric"] = entry[metric_key]
     entry.finish(_KNOWN_KEYS, _REMEDY)
     return calibrated(fields, {"K": matrix_key, "distortion": distortion_key}, entry.location)
+
+
+def _refuse_other_units(entry: Entry) -> None:
+    key = entry.key(("unit", "units", "length_unit"))
+    if key is not None and text_of(entry[key]).lower() not in {"m", "metre", "metres", "meter", "meters"}:
+        raise entry.fault(key, f"is {entry[key]}, and lengths are metres here", "write positions in metres, and remove it")
 
 
 def _is_camera_info(entry: Entry) -> bool:

@@ -43,7 +43,9 @@ def plain(key: str) -> str:
 
     A single letter stays as it is, as K and k, or C and c, are different things.
     """
-    return key if len(key) == 1 else "".join(letter for letter in key.lower() if letter.isalnum())
+    if len(key) == 1:
+        return key
+    return "".join(letter for letter in key.lower() if letter.isalnum())
 
 
 class Entry:
@@ -51,7 +53,8 @@ class Entry:
 
     def __init__(self, data: dict[str, Any], location: Location = (), name: str = "") -> None:
         """location: of the mapping in its file.  name: the camera's, for messages; "" for a file of one camera."""
-        self.location, self.name = location, name
+        self.location = location
+        self.name = name
         self._values = {str(key): value for key, value in data.items()}
         self._unread = set(self._values)
 
@@ -77,6 +80,23 @@ class Entry:
     def __getitem__(self, key: str) -> Any:
         """The value of a key as it is spelt in the file."""
         return self._values[key]
+
+    def unfold(self, *names: str) -> None:
+        """Put the keys of inner mappings with these names among the entry's own: `intrinsics: {fx: ...}`.
+
+        A matrix, which OpenCV and ROS write as a mapping with `data`, is none.  Raises Faulty if a key would be there twice.
+        """
+        wanted = {plain(name) for name in names}
+        for key, inner in list(self._values.items()):
+            if plain(key) not in wanted or not isinstance(inner, dict) or "data" in inner:
+                continue
+            del self._values[key]
+            self._unread.discard(key)
+            for inner_key, value in inner.items():
+                if str(inner_key) in self._values:
+                    raise self.fault(key, f"holds {inner_key}, which is given beside it as well", "keep one of them")
+                self._values[str(inner_key)] = value
+                self._unread.add(str(inner_key))
 
     def has(self, *names: str) -> bool:
         """Is one of these names a key with a value?  This does not count as reading it."""
