@@ -161,8 +161,26 @@ def test_there_are_no_circular_imports() -> None:
     graph = networkx.DiGraph()
     modules = {name for name, file in NAMES.items() if file.name != "__init__.py"}  # packages import lazily
     for name in modules:
-        graph.add_edges_from((name, other) for other in imports(NAMES[name]) if other in modules and other != name)
+        graph.add_edges_from(
+            (name, other) for other in imports(NAMES[name], types_too=True) if other in modules and other != name
+        )
     assert not [sorted(circle) for circle in networkx.strongly_connected_components(graph) if len(circle) > 1]
+
+
+MOST_MODULES_IN_A_CHAIN = 12
+
+
+@pytest.mark.parametrize("half", ["wbflow", "stages"])
+def test_the_longest_chain_of_imports_is_short(half: str) -> None:
+    """Imports for type checking count, too: a reader follows them as well."""
+    graph = networkx.DiGraph()
+    modules = {name for name, file in NAMES.items() if file.name != "__init__.py" and name.partition(".")[0] == half}
+    for name in modules:
+        graph.add_edges_from(
+            (name, other) for other in imports(NAMES[name], types_too=True) if other in modules and other != name
+        )
+    chain = networkx.dag_longest_path(graph)
+    assert len(chain) <= MOST_MODULES_IN_A_CHAIN, " > ".join(chain)
 
 
 def literals(tree: ast.Module) -> Iterator[str]:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from enum import IntEnum
 
+Location = tuple[str | int, ...]
+"""Path to a value in a file of settings: keys and list indices from the top."""
+
 
 class ExitCode(IntEnum):
     """The exit codes of every command."""

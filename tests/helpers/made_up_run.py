@@ -14,7 +14,8 @@ import numpy as np
 from wbflow.api import load_site
 from wbflow.cache.checksum import content_digest
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.store import Cache, Preimage, Receipt
+from wbflow.cache.receipt import Preimage, Receipt
+from wbflow.cache.store import Cache
 from wbflow.pipeline.stages import FRAMES, FUSE, GEOMETRY, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent

@@ -106,7 +106,7 @@ class WorkFolder:
         self.notified = self.root / "notified.json"
         """The state of the site at the last notification."""
         self.owner = self.root / "site.json"
-        """The site that the folder belongs to (see `cache.lock`)."""
+        """The site that the folder belongs to (see `cache.owner`)."""
         self.mirror_memo = self.root / "mirror.json"
         """State of each file at the last synchronization with the object store (see `remote`); exists only in a mirror."""
         self.lock = self.root / "lock"

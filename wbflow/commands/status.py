@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from ..cache.store import Preimage, Receipt
+from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import PAIRS
 from ..runner.plan import Plan
 from ..task import Task

@@ -16,14 +16,14 @@ from ..cache.checksum import content_digest
 from ..cache.memo import Digests
 from ..cache.ply import read_ply
 from ..cache.untrusted import MOST_TEXT_BYTES, is_file, read_untrusted
-from ..errors import ExitCode, WbflowError
+from ..errors import ExitCode, Location, WbflowError
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.captures import captures_of, expected, night
 from ..site.geodesy import local_frame
 from ..site.load import site_of
 from ..site.models import Camera, Section, Site, Vector2, Vector3
-from ..site.yaml_document import Location, Problems, SiteError, parse_yaml
+from ..site.yaml_document import Problems, SiteError, parse_yaml
 from .splice import NotEditable, append, put, remove
 
 GROUND_SHARE = 0.1

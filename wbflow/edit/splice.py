@@ -11,7 +11,8 @@ from typing import Any
 
 import yaml
 
-from ..site.yaml_document import Loader, Location
+from ..errors import Location
+from ..site.yaml_document import Loader
 
 Splice = tuple[int, int, str]
 """Start and end index in the text, and the replacement."""

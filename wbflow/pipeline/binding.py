@@ -12,7 +12,7 @@ from typing import Any
 
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import FunctionError
-from .functions import FunctionReader, Parameter, Signature
+from .signature import Functions, Parameter, Signature
 from .stages import Method, Source, Stage
 
 
@@ -48,12 +48,12 @@ class Binding:
         return faults
 
 
-def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: FunctionReader) -> Binding:
+def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Functions) -> Binding:
     """Bind a stage.  Raises FunctionError if the function or the method does not exist.
 
     Parameters
     ----------
-    stage, reader : Stage, FunctionReader
+    stage, reader : Stage, Functions
         The row of the stage, and the reader of functions.
     use : str or None
         The function that the site file names for the stage; None for the one in the stage's row.
@@ -82,7 +82,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     return Binding(stage, function, method, code, inputs, parameters)
 
 
-def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[str, Parameter]]:
+def method_parameters(stage: Stage, reader: Functions) -> dict[str, dict[str, Parameter]]:
     """Parameters, by method of a stage's table, that the stage's function does not have itself.  Raises FunctionError."""
     if stage.method is None:
         return {}
@@ -93,7 +93,7 @@ def method_parameters(stage: Stage, reader: FunctionReader) -> dict[str, dict[st
     }
 
 
-def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[str]:
+def methods_with_file(stage: Stage, name: str, reader: Functions) -> list[str]:
     """The methods of a stage's table that take the file input `name`.  Raises FunctionError."""
     source = stage.offers.get(name)
     if stage.method is None or source is None or source.kind != "file":
@@ -101,7 +101,7 @@ def methods_with_file(stage: Stage, name: str, reader: FunctionReader) -> list[s
     return [method for method, dotted in reader.table(stage.method.table).items() if name in reader.signature(dotted).names]
 
 
-def _chosen_method(choice: Method, value: Any, reader: FunctionReader) -> str:
+def _chosen_method(choice: Method, value: Any, reader: Functions) -> str:
     """Dotted name of the method that a value of the parameter selects."""
     table = reader.table(choice.table)
     if isinstance(value, str) and (value in table or ":" in value):

@@ -11,7 +11,6 @@ import ast
 import builtins
 import json
 import sys
-import types
 import typing
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -20,10 +19,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
-
 from ..cache.fingerprint import Code, FunctionError, Modules, assigned, origin_of, read_code, statements
 from ..cache.memo import Memo, file_stamp
+from .signature import Argument, Parameter, Signature
 
 _FORMAT = f"3, Python {sys.version_info.major}.{sys.version_info.minor}"
 """Version of the memo's format; a memo with another version is ignored."""
@@ -82,91 +80,6 @@ class FunctionReader(Memo):
             self.entries["files"] |= {str(file): file_stamp(str(file)) for file in files}
             self._changed = True
         return entries[name]
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A keyword-only parameter."""
-
-    name: str
-    default: Any = None
-    source: str = ""
-    """Source text of a default that is not a literal: only the function can evaluate it."""
-    required: bool = False
-    """There is no default."""
-    annotation: str = "Any"
-    """The type, written only with names of `typing` and built-ins."""
-
-    @property
-    def shown(self) -> str:
-        """The default as text for people."""
-        return self.source or ("none: it must be given" if self.required else repr(self.default))
-
-    @property
-    def choices(self) -> tuple[Any, ...]:
-        """The values that `Literal` types accept."""
-        return tuple(value for kind in _alternatives(self._type) if isinstance(kind, _LITERAL) for value in typing.get_args(kind))
-
-    def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value from the site file, as text; None if it is valid."""
-        try:
-            # strict validation of JSON accepts a list for a tuple and an integer for a float, but no other conversion
-            TypeAdapter(self._type, config=_STRICT).validate_json(json.dumps(value))
-        except (ValidationError, TypeError):
-            kinds = [_type_name(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
-            choices = ", ".join(map(str, self.choices))
-            if not set(kinds) - {"None"} and choices:
-                return f"{value!r} is not one of {choices}"
-            return f"{value!r} is not of type {' or '.join(kinds)}{f' or one of {choices}' if choices else ''}"
-        return None
-
-    @cached_property
-    def _type(self) -> Any:
-        try:
-            return eval(self.annotation, {"__builtins__": builtins, **vars(typing)})
-        except (TypeError, NameError):  # not a valid type in Python either, such as list[int, int, int]
-            return Any
-
-
-_STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
-_LITERAL = type(typing.Literal[0])
-
-
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    return typing.get_args(kind) if typing.get_origin(kind) in {typing.Union, types.UnionType} else (kind,)
-
-
-def _type_name(kind: Any) -> str:
-    if kind is type(None):
-        return "None"
-    return kind.__name__ if isinstance(kind, type) and not typing.get_args(kind) else str(kind).replace("typing.", "")
-
-
-@dataclass(frozen=True)
-class Argument:
-    """An argument that is not keyword-only."""
-
-    name: str
-    required: bool
-    by_name: bool = True
-    """False for a positional-only argument."""
-
-
-@dataclass(frozen=True)
-class Signature:
-    """The arguments and parameters of a function."""
-
-    dotted: str
-    """Name of the function, package.module:function."""
-    arguments: tuple[Argument, ...]
-    parameters: dict[str, Parameter]
-    takes_any: bool
-    """It has a `**` argument, which accepts any further keyword."""
-
-    @property
-    def names(self) -> set[str]:
-        """The names of all arguments and parameters."""
-        return {argument.name for argument in self.arguments} | self.parameters.keys()
 
 
 def _read_signature(modules: Modules, dotted: str) -> tuple[dict[str, Any], set[Path]]:

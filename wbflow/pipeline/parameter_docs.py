@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from .binding import method_parameters
-from .functions import FunctionReader, Parameter
+from .functions import FunctionReader
+from .signature import Parameter
 from .stages import COMPONENT, FUSE, Stage
 
 _SECTION = re.compile(r"^(?:Other )?Parameters\n-+\n(.*?)(?=^[^\n]+\n-+$|\Z)", re.MULTILINE | re.DOTALL)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..cache.layout import WorkFolder
 from ..cache.ply import read_ply
-from ..cache.store import Cache, OnDemand, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Cache, OnDemand
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FRAMES, RESTORE_CLOUD, STAGES
 from ..plugins import load

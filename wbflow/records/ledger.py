@@ -7,12 +7,14 @@ import os
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, fields
 from statistics import fmean, median
 
 from ..cache.atomic import clear
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Cache
+from .costs import TaskCosts
 from .record import RunRecord
 from .run_folder import NoSuchRun, RunFolder
 
@@ -152,29 +154,6 @@ def _is_damage(error: sqlite3.DatabaseError) -> bool:
     """Is the file itself damaged, as opposed to a full disk or a lock that another process holds?"""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     return code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_MISMATCH}
-
-
-@dataclass(frozen=True)
-class TaskCosts:
-    """Costs of earlier tasks, by stage and by task."""
-
-    stages: dict[str, float] = field(default_factory=dict)
-    """Median wall time of a stage's tasks, in seconds."""
-    stages_mb: dict[str, float] = field(default_factory=dict)
-    """Largest peak memory of a stage's tasks, in MB (2^20 bytes)."""
-    tasks: dict[str, float] = field(default_factory=dict)
-    tasks_mb: dict[str, float] = field(default_factory=dict)
-    """Wall time (seconds) and peak memory (MB) of a task, when it last ran."""
-    stages_bytes: dict[str, float] = field(default_factory=dict)
-    """Mean size of a stage's artifacts on disk, in bytes."""
-
-    def expected_seconds(self, stage: str, task: str) -> float:
-        """Return the expected wall time of a task in seconds: that of its last run, else the median of its stage."""
-        return self.tasks.get(task, self.stages.get(stage, 0.0))
-
-    def expected_peak_mb(self, stage: str, task: str, others: float = 0.0) -> float:
-        """Return the expected peak memory of a task in MB.  others: peak of its stage's tasks in the run so far."""
-        return self.tasks_mb.get(task, max(others, self.stages_mb.get(stage, 0.0)))
 
 
 def read_costs(work: WorkFolder) -> TaskCosts:

@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from ..cache.artifact import bytes_and_facts
 from ..cache.layout import WorkFolder
 from ..cache.memo import Digests, EarlierCaptures
-from ..cache.store import Cache, DamagedArtifact, Preimage, Receipt
+from ..cache.receipt import Preimage, Receipt
+from ..cache.store import Cache, DamagedArtifact
 from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
 from ..records.reference import Reference

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..cache.store import Receipt
+from ..cache.receipt import Receipt
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference import Reference
 from ..runner.night import Night

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Cache
 from ..errors import ExitCode, WbflowError
 from ..pipeline.stages import STAGES
 from ..records.record import RunRecord

@@ -11,7 +11,8 @@ from pathlib import Path
 from ..cache.atomic import write_atomic
 from ..cache.checksum import dump_with_checksum
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Cache
 from ..records.reference import IDENTITY, Reference
 
 

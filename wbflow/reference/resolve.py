@@ -16,7 +16,7 @@ from typing import Literal
 from wbflow_stages.contracts.camera_figures import ExaminedHealth, Health, ShiftHistory
 
 from ..cache.layout import WorkFolder
-from ..cache.store import Receipt
+from ..cache.receipt import Receipt
 from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
 from ..records.reference import Reference
 from ..records.run_folder import last_of_nights, newest_runs
@@ -24,7 +24,7 @@ from ..runner.night import Night
 from ..runner.spec import Input, Joined, Stored, Value, stored_input
 from ..runner.state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
-from .restore import restore_to_cache
+from .copies import restore_to_cache
 
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from ..cache.atomic import clear, write_atomic
-from ..cache.checksum import Damaged, read_checksummed, sha256_of
-from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
-from ..records.reference import PinnedArtifact, Reference
+from ..cache.checksum import sha256_of
+from ..cache.receipt import Receipt
+from ..cache.store import Cache
+from ..records.reference import Reference
 from ..task import Task
+from .copies import restore_to_cache
 from .folder import files_of
 
 
@@ -30,25 +31,6 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
                 write_atomic(work.pinned(path), path.read_bytes(), own_path=True)
             copied.append(task)
     return to_cache, copied, lost
-
-
-def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
-    """Put a result of the reference back into the cache; returns False if the reference's own copy is damaged or gone.
-
-    The caller holds the lock.  Raises OSError.
-    """
-    path = work.receipt(pinned.task, pinned.key)
-    copies = sorted(work.pinned(path).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == path.suffix)
-    artifacts = [copy for copy in copies if copy.suffix != path.suffix]
-    try:
-        is_intact = read_checksummed(work.pinned(path), work.identity_of(path)) is not None
-    except Damaged:
-        is_intact = False
-    if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
-        return False
-    for copy in copies:  # the receipt last
-        write_atomic(path.with_suffix(copy.suffix), copy.read_bytes(), own_path=True)
-    return True
 
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:

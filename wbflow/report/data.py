@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from ..cache.layout import WorkFolder
-from ..cache.store import Cache, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Cache
 from ..pipeline.stages import CHANGES, FRAMES
 from ..pipeline.summaries import RecordedChange
 from ..records.events import Event, TaskEvent

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-from ..cache.store import Preimage
+from ..cache.receipt import Preimage
 from ..json_dataclass import read_json
 from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import CHANGES, STAGES

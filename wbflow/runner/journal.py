@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from ..cache.store import Damage, Receipt
+from ..cache.receipt import Receipt
+from ..cache.store import Damage
 from ..records.events import Event, Listener, OutputEvent, TaskEvent, WarningEvent, now
 from ..records.findings import Finding
 from ..records.record import Seconds, StageSeconds

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..cache.atomic import disk_fault
 from ..cache.layout import WorkFolder
-from ..cache.lock import claim
+from ..cache.owner import claim
 from ..errors import UsageError
 from ..pipeline.stages import FRAMES
 from ..records.events import Listener

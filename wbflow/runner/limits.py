@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..cache.atomic import free_bytes
-from ..records.ledger import TaskCosts
+from ..records.costs import TaskCosts
 from ..task import Task
 from ..words import format_size
 

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Set
 from dataclasses import dataclass, field
 
-from ..cache.store import Receipt
+from ..cache.receipt import Receipt
 from ..pipeline.stages import COMPONENT, DENSE_PAIRS, FRAMES, FUSE, PAIRS, POSES, Adapt, Stage, stage_named
 from ..reference.resolve import Resolver
 from ..task import Task, names_of

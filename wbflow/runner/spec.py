@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.checksum import content_digest
-from ..cache.store import Preimage, Receipt
+from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, Source, stage_named
 from ..site.captures import CaptureFile
 from ..site.models import Camera, Site, stated_fields

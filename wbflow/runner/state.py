@@ -8,7 +8,7 @@ from typing import Literal, TypeVar
 
 from pydantic import ValidationError
 
-from ..cache.store import Receipt
+from ..cache.receipt import Receipt
 from ..json_dataclass import read_json
 from ..task import Task
 

@@ -25,7 +25,8 @@ from ..cache.artifact import bytes_and_facts, result_of
 from ..cache.atomic import DISK_FULL_ERRORS
 from ..cache.checksum import content_digest
 from ..cache.memo import ChangedFile
-from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand, Preimage, Receipt
+from ..cache.receipt import Preimage, Receipt
+from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand
 from ..cache.untrusted import read_untrusted
 from ..pipeline.stages import REJECTED, SITE_TYPES
 from ..plugins import load, make_importable

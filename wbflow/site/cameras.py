@@ -14,6 +14,7 @@ from typing import Any
 from wbflow_stages.contracts.stated import LensModel, Survey
 
 from ..cache.untrusted import is_file
+from ..errors import Location
 from ..plugins import load
 from ..task import view_name
 from ..words import printable
@@ -22,7 +23,7 @@ from .calibration.calibrated import REMEDY, Calibrated, Lens, Placement, product
 from .geodesy import LocalFrame
 from .ids import as_id
 from .models import Camera, CameraEntry, Position, SiteFile
-from .yaml_document import Location, Problems, SiteError, is_name, resolve_path, suggest
+from .yaml_document import Problems, SiteError, is_name, resolve_path, suggest
 
 _OWN_PINHOLE = frozenset({LensModel.PINHOLE, LensModel.BROWN})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .yaml_document import Location, Problems
+from ..errors import Location
+from .yaml_document import Problems
 
 if TYPE_CHECKING:
     from .models import Position, SiteFile

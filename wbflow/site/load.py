@@ -16,6 +16,7 @@ from wbflow_stages.contracts.stated import LensModel
 
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
+from ..errors import Location
 from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_PAIRS_PER_VIEW
 from ..remote import is_url
@@ -26,7 +27,7 @@ from .models import CUSTOM, Site, SiteFile
 from .pattern import Pattern
 from .plausibility import check_plausibility
 from .stage_settings import read_stages
-from .yaml_document import Document, Location, Problem, Problems, SiteError, is_name, load_yaml, resolve_path, similar, suggest
+from .yaml_document import Document, Problem, Problems, SiteError, is_name, load_yaml, resolve_path, similar, suggest
 
 
 def load_site(path: str | Path, work: str | Path | None = None) -> Site:

@@ -21,7 +21,7 @@ from wbflow_stages.contracts import defaults
 from wbflow_stages.contracts.stated import Survey
 
 from ..cache.layout import WorkFolder
-from ..pipeline.functions import FunctionReader
+from ..pipeline.signature import Functions
 from ..pipeline.stages import STAGES
 from ..records.keep import Keep
 from ..task import camera_of
@@ -485,7 +485,7 @@ class Site:
     stages: dict[str, StageSettings]
     """The settings of every stage; defaults if the file has none."""
     work_folder: WorkFolder
-    reader: FunctionReader
+    reader: Functions
     notes: tuple[Problem, ...]
     """Remarks about entries that still work but should be written differently."""
     doubts: tuple[Problem, ...] = ()

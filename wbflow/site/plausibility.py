@@ -15,14 +15,16 @@ import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..pipeline.functions import FunctionReader, Parameter
+from ..errors import Location
+from ..pipeline.functions import FunctionReader
 from ..pipeline.parameter_docs import document
+from ..pipeline.signature import Parameter
 from ..pipeline.stages import STAGES, Stage
 from ..words import format_size, number
 from .calibration.calibrated import Lens
 from .models import Camera, SiteFile, StageSettings
 from .polygons import area, crossing, diameter
-from .yaml_document import Location, Problems
+from .yaml_document import Problems
 
 WIDEST_PINHOLE_DEG = 170.0
 """No pinhole (or brown) lens sees more, nor is calibrated that far; focal lengths in millimetres give 179 degrees."""

@@ -10,12 +10,13 @@ from typing import Any
 
 from ..cache.fingerprint import FunctionError
 from ..cache.untrusted import is_file
+from ..errors import Location
 from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
-from ..pipeline.functions import FunctionReader
+from ..pipeline.signature import Functions
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from ..words import printable
 from .models import StageSettings
-from .yaml_document import Location, Problems, resolve_path, similar, suggest
+from .yaml_document import Problems, resolve_path, similar, suggest
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,7 @@ REMOVED: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
 """Parameters of earlier versions that were removed without replacement, by stage; accepted and ignored, with a note."""
 
 
-def read_stages(
-    sections: dict[str, Any], reader: FunctionReader, problems: Problems
-) -> tuple[dict[str, StageSettings], Problems]:
+def read_stages(sections: dict[str, Any], reader: Functions, problems: Problems) -> tuple[dict[str, StageSettings], Problems]:
     """The settings of every stage, from the section `stages`, and notes on renamed or removed parameters; faults are added to
     `problems`."""
     settings = {stage.name: StageSettings() for stage in STAGES}
@@ -76,7 +75,7 @@ class _Section:
     """The value of the key `use`."""
     values: dict[str, Any]
     """All other values; while they are read, old names are replaced, and files are taken out."""
-    reader: FunctionReader
+    reader: Functions
     problems: Problems
     notes: Problems
 

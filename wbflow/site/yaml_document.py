@@ -15,7 +15,7 @@ from yaml.constructor import ConstructorError
 from yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, ScalarEvent
 
 from ..cache.untrusted import MOST_TEXT_BYTES, Unreadable, read_untrusted
-from ..errors import ExitCode, WbflowError
+from ..errors import ExitCode, Location, WbflowError
 from ..words import LONGEST, printable
 
 try:
@@ -23,9 +23,6 @@ try:
 except ImportError:  # pragma: no cover  (PyYAML built without libyaml)
     from yaml import SafeLoader as _Loader  # type: ignore[assignment]
 Loader = _Loader
-
-Location = tuple[str | int, ...]
-"""Path to a value: keys and list indices from the top."""
 
 _MOST_LEVELS = 40
 """Largest nesting depth that is accepted; a site file needs eight levels."""

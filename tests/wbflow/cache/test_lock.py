@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
-from wbflow.cache import lock
+from wbflow.cache import owner
 from wbflow.cache.layout import WorkFolder
-from wbflow.cache.lock import claim
+from wbflow.cache.owner import claim
 from wbflow.cli.main import main
 from wbflow.errors import UsageError
 
@@ -61,7 +61,7 @@ def test_two_site_files_with_the_same_site_name_give_a_warning(work: WorkFolder,
 def test_a_folder_written_by_a_newer_version_is_refused_with_a_remedy(
     work: WorkFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lock, "FORMAT", lock.FORMAT + 1)
+    monkeypatch.setattr(owner, "FORMAT", owner.FORMAT + 1)
     claim(work, "yard", tmp_path / "site.yaml")
     monkeypatch.undo()
     with pytest.raises(UsageError, match=r"was written by wbflow .*\n.*update wbflow"):

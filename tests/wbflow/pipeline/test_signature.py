@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wbflow.pipeline.functions import FunctionReader, Parameter, Signature
+from wbflow.pipeline.functions import FunctionReader
+from wbflow.pipeline.signature import Parameter, Signature
 
 
 def signature(folder: Path, text: str, **others: str) -> Signature:

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from tests.helpers.toy_site import ToySite
 from wbflow.cli.main import main
-from wbflow.records.ledger import TaskCosts
+from wbflow.records.costs import TaskCosts
 from wbflow.runner import limits
 from wbflow.runner.dispatch import Dispatcher
 from wbflow.runner.executors import Processes

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ...cache.untrusted import is_file, is_folder
-from ..yaml_document import Document, Location, Problem, SiteError, parse_yaml, read_text
+from ...errors import Location
+from ..yaml_document import Document, Problem, SiteError, parse_yaml, read_text
 from .calibrated import REMEDY, Calibrated, Faulty
 from .camera_entry import is_camera, read_camera
 from .colmap import is_colmap, read_colmap

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 from wbflow_stages.contracts import stated
 from wbflow_stages.contracts.stated import LensModel
 
-from ..yaml_document import Location
+from ...errors import Location
 
 Vector = list[float]
 Matrix = list[Vector]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ..yaml_document import Location, suggest
+from ...errors import Location
+from ..yaml_document import suggest
 from .calibrated import Faulty
 
 IRRELEVANT = frozenset(
