@@ -1,4 +1,4 @@
-"""The diffs in stages/README.md that add a matcher, an export and a stage, applied to a copy of the project and run there."""
+"""The diffs in stages/README.md that add to the project, applied to a copy of it and run there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ import pytest
 from tests.helpers.toy_site import ToySite
 
 ROOT = Path(__file__).resolve().parent.parent
-MATCHER, EXPORT, STAGE = re.findall(r"^```diff\n(.*?)^```$", (ROOT / "stages/README.md").read_text(), re.MULTILINE | re.DOTALL)
+GUIDE = (ROOT / "stages/README.md").read_text()
+MATCHER, EXPORT, STAGE, FINDING, LENS = re.findall(r"^```diff\n(.*?)^```$", GUIDE, re.MULTILINE | re.DOTALL)
 
 
 def files_of(diff: str) -> list[str]:
@@ -40,6 +41,8 @@ def tree(tmp_path: Path) -> Path:
     folder = tmp_path / "project"
     for package in ("wbflow", "stages"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "sites").mkdir()
+    shutil.copy(ROOT / "sites" / "README.md", folder / "sites")
     (folder / "wbflow_stages").symlink_to("stages")
     return folder
 
@@ -115,3 +118,50 @@ def test_adding_a_stage_touches_at_most_five_files(tree: Path) -> None:
     assert "darkest = 0.3" in listed
     change_stages(site, shadows=False)
     assert "shadows" not in site.wbflow("status").stdout
+
+
+BLACK_NIGHT = """
+import types
+from wbflow.pipeline.summaries import CameraFigures
+from wbflow.records.record import CameraRecord
+from wbflow.verdict.rules import check_pictures
+
+cameras = [CameraRecord(name, "ok", figures=CameraFigures(black_share=share)) for name, share in (("gate", 0.1), ("roof", 0.7))]
+record = types.SimpleNamespace(cameras=cameras, usual=None, pairs_of=lambda name: [])
+print(*(f"{entry.kind} {entry}" for entry in check_pictures(record, None)))
+"""
+
+BLACK_PICTURE = """
+import cv2
+import numpy as np
+from wbflow_stages.frames import clean_frame
+from wbflow_stages.types import Capture, Lens
+
+image = np.random.default_rng(1).integers(40, 200, (120, 160, 3)).astype(np.uint8)
+image[:, :120] = 0
+data = cv2.imencode(".png", image)[1].ravel()
+print(clean_frame([Capture("1.png", data)], Lens(), None, denoise=False).black_share)
+"""
+
+
+def printed(tree: Path, program: str) -> str:
+    """What a program prints that runs in the copy of the project."""
+    env = {**os.environ, "PYTHONPATH": str(tree)}
+    done = subprocess.run([sys.executable, "-c", program], cwd=tree, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_adding_a_finding_with_a_new_figure_touches_at_most_five_files(tree: Path) -> None:
+    assert len(files_of(FINDING)) <= 5
+    apply(FINDING, tree)
+    assert float(printed(tree, BLACK_PICTURE)) == pytest.approx(0.75, abs=0.01)
+    assert printed(tree, BLACK_NIGHT) == "pictures-black roof: most of the picture is black: roof"
+
+
+def test_adding_a_lens_model_touches_at_most_three_files(tree: Path) -> None:
+    assert len(files_of(LENS)) <= 3
+    apply(LENS, tree)
+    run_tests_of(tree, LENS)
+    known = printed(tree, "from wbflow.site.calibration.calibrated import lens_fault; print(lens_fault('equisolid', [0.1]))")
+    assert known == "a equisolid lens has 0 coefficients, not 1; give them in that order, or another model"
