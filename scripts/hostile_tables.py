@@ -20,7 +20,7 @@ SITE: dict[str, Any] = {
         {"id": "roof", "intrinsics": {"hfov": 70.0}, "pose": {"position": [1, 0, 5], "yaw_pitch_roll": [0, 0, 0]}},
         {"id": "mast", "images": ["a.jpg"], "pose": {"position": [2, 0, 5], "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}},
     ],
-    "distances": [["gate", "roof", 3.0]],
+    "distances": [["gate", "roof", 1.0]],
     "control_points": [{"id": "p", "position": [1, 2, 3], "pixels": {"gate": [1, 2], "roof": [3, 4]}}],
     "resolution": 640,
     "bounds": [[-1, -1, 0], [9, 9, 9]],

@@ -270,7 +270,10 @@ def _check_uprightness(cameras: Sequence[Camera], doubts: Problems) -> None:
 def _check_distances(file: SiteFile, cameras: Sequence[Camera], problems: Problems) -> None:
     places = {camera.id: camera.placement for camera in cameras}
     for k, (left, right, metres) in enumerate(file.distances):
-        first, second = places.get(left), places.get(right)
+        if not isinstance(left, str) or not isinstance(right, str):
+            continue  # a problem of its own
+        first = places.get(left)
+        second = places.get(right)
         if first is None or second is None or first.C is None or second.C is None or not isinstance(metres, int | float):
             continue
         if isinstance(metres, bool) or not (first.metric and second.metric) or not metres > 0:

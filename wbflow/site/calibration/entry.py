@@ -26,7 +26,20 @@ IRRELEVANT = frozenset(
         ),
         *("date", "time", "calibrationtime", "calibrationdate", "timestamp", "created", "manufacturer", "serial", "serialnumber"),
         # names of the camera and its pictures beside the one that the entry is filed under
-        *("id", "name", "cameraname", "cameraid", "imgname", "imagename", "filename", "filepath", "label", "type"),
+        *(
+            "id",
+            "name",
+            "cameraname",
+            "cameraid",
+            "imgname",
+            "imagename",
+            "filename",
+            "filepath",
+            "label",
+            "type",
+            "panel",
+            "node",
+        ),
         # how well the calibration fits
         *("rms", "rmserror", "error", "residualspx", "covered", "reprojectionerror", "reprojerr", "avgreprojectionerror"),
         *("meanreprojectionerror", "perviewreprojectionerrors", "perviewerrors", "stddeviations", "stddeviationsintrinsics"),
