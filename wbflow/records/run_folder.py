@@ -60,20 +60,19 @@ class RunFolder:
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
         """Return a run by id, or the newest run of a night by its date.
 
-        "latest-good" is the newest run with a cloud whose verdict is good or degraded, "latest" (or None) the newest.
-        Raises NoSuchRun.
+        "latest" (or None) is the run of the newest night; "latest-good" that of the newest night with a cloud whose verdict is
+        good or degraded.  Raises NoSuchRun.
         """
         ids = work.run_ids()
         if not ids:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
         if name is None or name == work.latest.name:
-            return RunFolder(work.run(ids[-1]))
+            newest = _of_newest_night(work, work.latest, lambda run: True)
+            return RunFolder(work.run(newest or ids[-1]))
         if name == work.latest_good.name:
-            if target := work.link_target(work.latest_good):
-                return RunFolder(work.run(target))
-            for folder in (RunFolder(work.run(run)) for run in reversed(ids)):
-                if folder.is_good():
-                    return folder
+            newest_good = _of_newest_night(work, work.latest_good, RunFolder.is_good)
+            if newest_good:
+                return RunFolder(work.run(newest_good))
             raise NoSuchRun("no run has made a cloud yet", remedy=f"the last run is {ids[-1]}: its report says why")
         if _NIGHT_PATTERN.fullmatch(name):
             for folder, record in newest_runs(work):
@@ -128,6 +127,13 @@ class RunFolder:
         """
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
         return [path for path, digest in files if (path.is_file() or missing) and sha256_of(path) != digest]
+
+    def date(self) -> str:
+        """Return the night of the run (ISO 8601); "" if its record cannot be read."""
+        try:
+            return self.record().date
+        except NoSuchRun:
+            return ""
 
     def is_good(self) -> bool:
         """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions need only a cloud.)"""
@@ -216,15 +222,33 @@ def _hard_link(path: Path, earlier: Path, data: bytes) -> bool:
 
 
 def update_links(work: WorkFolder) -> None:
-    """Point each link to the newest run that it may show.  Called after a run is published, and before the next run, in case the
-    process was killed in between.  Raises OSError."""
-    runs = [RunFolder(work.run(name)) for name in reversed(work.run_ids())]
+    """Point each link to the run of the newest night that it may show.  Called after a run is published, and before the next run,
+    in case the process was killed in between.  Raises OSError."""
     conditions: dict[Path, Callable[[RunFolder], bool]] = {work.latest: lambda run: True, work.latest_good: RunFolder.is_good}
     for link, may_point_to in conditions.items():
-        target = work.link_target(link)
-        newest = next((run.id for run in runs if run.id == target or may_point_to(run)), None)
-        if newest and newest != target:
+        newest = _of_newest_night(work, link, may_point_to)
+        if newest and newest != work.link_target(link):
             work.point_link(link, newest)
+
+
+def _of_newest_night(work: WorkFolder, link: Path, may_point_to: Callable[[RunFolder], bool]) -> str | None:
+    """Return the id of the run that a link should point to; None if there is none.
+
+    It is the last run of the newest night, by its date: a rerun of an old night is not news.
+    """
+    target = work.link_target(link)
+    newest = target
+    newest_date = RunFolder(work.run(target)).date() if target else ""
+    for name in work.run_ids():
+        # what ran before the link's target was compared with it when the link was set
+        if target and name <= target:
+            continue
+        run = RunFolder(work.run(name))
+        date = run.date()
+        if date >= newest_date and may_point_to(run):
+            newest = name
+            newest_date = date
+    return newest
 
 
 def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator[tuple[RunFolder, RunRecord]]:

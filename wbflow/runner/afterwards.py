@@ -10,6 +10,7 @@ from ..records.cleanup import clean
 from ..records.finished_run import Run
 from ..records.keep import Keep
 from ..records.ledger import Ledger
+from ..records.run_folder import RunFolder
 from ..reference.create import fit_to_pin, pin
 from ..site.models import Site
 from ..words import format_size
@@ -25,11 +26,12 @@ def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
     run, site, journal : Run, Site, Journal
         The published run, its site, and its events.
     send : bool
-        May the site's `notify` command be called?
+        May the site's `notify` command be called?  It is not called for the rerun of an old night, which is no news.
     """
     event_count = len(journal.events)
     index(run, site, journal)
-    if send and site.settings.notify:
+    is_news = RunFolder.of(run.cache.work).id == run.id
+    if send and is_news and site.settings.notify:
         try:
             notify(site.settings.notify, site.folder, run)
         except (NotifyFailed, OSError) as error:

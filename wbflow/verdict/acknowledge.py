@@ -23,7 +23,7 @@ from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import ChangesSummary, RecordedChange
 from ..records.findings import FINDINGS, Finding
 from ..records.record import RunRecord
-from ..records.run_folder import newest_runs
+from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.models import Site
 
 CHANGE = "change"
@@ -136,8 +136,10 @@ def _full_name(site: Site, finding: str) -> str:
     name = " ".join(finding.split())
     if name.split(" ")[0] != CHANGE or _change_named(name):
         return name
-    newest = next((record for _, record in newest_runs(site.work_folder)), None)
-    changes = changes_of(newest) if newest else {}
+    try:
+        changes = changes_of(RunFolder.of(site.work_folder).record())
+    except NoSuchRun:
+        changes = {}
     number = name.removeprefix(CHANGE).strip()
     if number not in changes:
         known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in changes.items()) or "none"

@@ -26,13 +26,15 @@ EVENTS: list[Event] = [
 ]
 
 
-def publish(work: WorkFolder, name: str, cloud: bool = True, level: Level | None = "degraded") -> RunFolder:
+def publish(
+    work: WorkFolder, name: str, cloud: bool = True, level: Level | None = "degraded", date: str = "2026-11-19"
+) -> RunFolder:
     unfinished = UnfinishedRun(work, name)
     if cloud:
         unfinished.write("cloud.ply", b"ply")
         unfinished.write("cloud-component-2.ply", b"more")
         unfinished.write_cameras({"gate": {"K": []}})
-    record = replace(some_record(), run=name, verdict=Verdict(level) if level else None)
+    record = replace(some_record(), run=name, date=date, verdict=Verdict(level) if level else None)
     return unfinished.publish(record, EVENTS, "<html>")
 
 
@@ -73,6 +75,20 @@ def test_latest_is_the_newest_run_and_latest_good_the_last_good_one(tmp_path: Pa
     publish(work, "20261122T031500Z", cloud=False)
     assert work.latest.resolve().name == RunFolder.of(work, "latest").id == RunFolder.of(work).id == "20261122T031500Z"
     assert work.latest_good.resolve().name == RunFolder.of(work, "latest-good").id == "20261120T031500Z"
+
+
+def test_a_rerun_of_an_old_night_does_not_take_the_links_from_the_newest_night(tmp_path: Path) -> None:
+    work = WorkFolder(tmp_path)
+    dates = {"20261120T031500Z": "2026-11-19", "20261121T031500Z": "2026-11-20", "20261121T120000Z": "2026-11-12"}
+    for name, date in dates.items():
+        publish(work, name, date=date)
+    assert work.link_target(work.latest) == work.link_target(work.latest_good) == "20261121T031500Z"
+    assert RunFolder.of(work).id == RunFolder.of(work, "latest").id == "20261121T031500Z"
+    assert RunFolder.of(work, "2026-11-12").id == "20261121T120000Z"
+    publish(work, "20261121T130000Z", date="2026-11-20")  # the newest night again
+    assert work.link_target(work.latest) == "20261121T130000Z"
+    work.latest.unlink()
+    assert RunFolder.of(work).id == "20261121T130000Z"
 
 
 def test_the_last_good_run_is_found_without_the_link_latest_good(tmp_path: Path) -> None:
