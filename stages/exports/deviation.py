@@ -17,6 +17,16 @@ _SAMPLE_SPACING = 0.02
 """Spacing in metres of points that are sampled on a mesh."""
 _FULL_QUANTILE = 0.9
 """Quantile of the absolute deviations from which on the colour is full."""
+_DETECTABLE_SIGMAS = 2
+"""A deviation counts as detected from this many of its standard deviations: 5 percent of points without one exceed it."""
+_WHITE = (235, 235, 235)
+"""Colour of no deviation, RGB."""
+_IN_FRONT = (200, 30, 30)
+"""Colour of a point far in front of the scan, RGB."""
+_BEHIND = (30, 70, 200)
+"""Colour of a point far behind the scan, RGB."""
+_UNKNOWN = 110
+"""Grey of a point without a scan."""
 
 
 def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes | Columns], dict[str, Any]]:
@@ -27,10 +37,13 @@ def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes 
     """
     if not poses.metric:
         raise ValueError("the site has no scale: state one distance, or positions of cameras")
-    result = deviation_from_scan(cloud, _in_site_world(read_scan(path, _SAMPLE_SPACING), poses))
+    scan_points = _in_site_world(read_scan(path, _SAMPLE_SPACING), poses)
+    result = deviation_from_scan(cloud, scan_points)
+
+    # 1. The figures, over all points that the scan covers.
     known = np.isfinite(result.distance)
     deviation = np.abs(result.distance[known])
-    above_limit = deviation > 2 * result.sigma[known]
+    above_limit = deviation > _DETECTABLE_SIGMAS * result.sigma[known]
     figures = {
         "unit": "m",
         "scan": path.name,
@@ -44,12 +57,12 @@ def scan_files(cloud: Cloud, poses: Poses, path: Path) -> tuple[dict[str, bytes 
         "beyond_detection": round(float(above_limit.mean()), 4),
         "transform_of_scan": np.round(result.transform, 9).tolist(),
     }
-    columns = {
-        **cloud_columns(cloud),
-        **dict(zip(("red", "green", "blue"), _colours(result.distance).T, strict=True)),
-        "deviation": result.distance.astype(np.float32),
-        "deviation_sigma": result.sigma.astype(np.float32),
-    }
+
+    # 2. The cloud, in the colours of the deviations.
+    columns = dict(cloud_columns(cloud))
+    columns["red"], columns["green"], columns["blue"] = _colours(result.distance).T
+    columns["deviation"] = result.distance.astype(np.float32)
+    columns["deviation_sigma"] = result.sigma.astype(np.float32)
     data = (json.dumps(figures, indent=1) + "\n").encode()
     return {"deviation.ply": columns, "deviation.json": data}, figures
 
@@ -58,10 +71,13 @@ def _in_site_world(scan: Scan, poses: Poses) -> Float64s:
     """Return a scan's points (n, 3) in the site's world; those in map coordinates are converted by its georeference."""
     if not poses.crs:
         return scan.points
-    from .world import georeference
+    from .world import georeference  # imported here: sites without a georeference need no pyproj
 
     reference = georeference(poses.crs)
-    return reference.local(scan.points, scan.epsg) if scan.epsg or reference.is_on_map(scan.points) else scan.points
+    # a file that names no map system may still be in the site's: its coordinates tell
+    if scan.epsg or reference.is_on_map(scan.points):
+        return reference.local(scan.points, scan.epsg)
+    return scan.points
 
 
 def _colours(distance: Float64s) -> Uint8s:
@@ -69,6 +85,9 @@ def _colours(distance: Float64s) -> Uint8s:
     known = np.isfinite(distance)
     full_deviation = max(float(np.quantile(np.abs(distance[known]), _FULL_QUANTILE)), 1e-9)
     share: Float32s = np.clip(np.nan_to_num(distance) / full_deviation, -1, 1).astype(np.float32)[:, None]
-    white, front, behind = (np.array(rgb, np.float32) for rgb in ((235, 235, 235), (200, 30, 30), (30, 70, 200)))
+    white = np.array(_WHITE, np.float32)
+    front = np.array(_IN_FRONT, np.float32)
+    behind = np.array(_BEHIND, np.float32)
+    # (n, 1) shares against (3,) colours
     colours = np.where(share > 0, white + share * (front - white), white - share * (behind - white))
-    return np.where(known[:, None], colours, 110).astype(np.uint8)
+    return np.where(known[:, None], colours, _UNKNOWN).astype(np.uint8)

@@ -24,26 +24,38 @@ EXTRA = {
     "views": (np.uint16, "cameras that support it"),
     "sigma_mm": (np.float32, "standard deviation"),
 }
+"""Extra dimensions by name: type, and the description that the file carries."""
 
 
 def laz_bytes(cloud: Cloud, day: datetime.date, georeference: Georeference | None = None) -> bytes:
     """LAZ of a cloud, in map coordinates with their CRS if there is a georeference.  day: for the file's header."""
-    points, normals = cloud.points.astype(np.float64), cloud.normals.astype(np.float64)
+    points = cloud.points.astype(np.float64)
+    normals = cloud.normals.astype(np.float64)
+
+    # 1. The header: what is in the file, and in which coordinates.
     header = laspy.LasHeader(point_format=7, version="1.4")
-    header.creation_date, header.generating_software, header.system_identifier = day, "wbflow", "stereo"
+    header.creation_date = day
+    header.generating_software = "wbflow"
+    header.system_identifier = "stereo"
     header.global_encoding.wkt = True  # the specification requires it for point formats above 5
-    header.scales = np.full(3, coordinate_step(points))
+    header.scales = np.full(3, coordinate_step(points))  # in the site's coordinates, whose extent decides the step
     if georeference is not None:
-        points, normals = georeference.points(points), georeference.directions(points, normals)
+        normals = georeference.directions(points, normals)  # at the world points, so before these are converted
+        points = georeference.points(points)
         header.add_crs(pyproj.CRS.from_epsg(georeference.epsg))
     header.offsets = np.floor(points.min(axis=0))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind, description) for name, (kind, description) in EXTRA.items()])
+
+    # 2. The points.
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
-    las.red, las.green, las.blue = cloud.colors.T.astype(np.uint16) * 257
+    las.red, las.green, las.blue = cloud.colors.T.astype(np.uint16) * 257  # 255 becomes 65535
+    # the specification counts returns from 1
     las.return_number = las.number_of_returns = np.ones(len(points), np.uint8)
     las.nx, las.ny, las.nz = normals.T.astype(np.float32)
-    las.confidence, las.views, las.sigma_mm = cloud.confidence, cloud.views, cloud.sigma_mm
+    las.confidence = cloud.confidence
+    las.views = cloud.views
+    las.sigma_mm = cloud.sigma_mm
     buffer = io.BytesIO()
     # one thread keeps the order of chunks, and so the bytes, reproducible
     las.write(buffer, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)

@@ -12,6 +12,8 @@ CELLS = 128
 """Cells along each axis of a node, which keeps one point per cell and passes the others to its children."""
 MOST_IN_LEAF = 20_000
 """A node with at most this many points keeps them all."""
+LEAST_SIDE = 1e-3
+"""Shortest edge of the root's cube, for clouds whose points coincide."""
 
 Key = tuple[int, int, int, int]
 """Level of a node, and its index along x, y and z on that level."""
@@ -26,13 +28,18 @@ def octree(points: Float64s, low: Float64s, side: float) -> Iterator[tuple[Key, 
     while pending:
         (level, *index), rows = pending.pop()
         edge = side / 2**level
+        # (n, 3) within the node, 0 to below 1: points on the outer faces of the cube belong to the last cells
         positions = np.clip((points[rows] - low) / edge - index, 0, 1 - 1e-9)
+
+        # 1. The node keeps the first point of each cell; a small node keeps all.
         if len(rows) > MOST_IN_LEAF:
             i, j, k = (positions * CELLS).astype(np.int64).T
             kept_indices = np.sort(np.unique((i * CELLS + j) * CELLS + k, return_index=True)[1])
         else:
             kept_indices = np.arange(len(rows))
         yield (level, *index), rows[kept_indices]  # type: ignore[misc]
+
+        # 2. The others go to its children, one for each octant that holds any.
         remaining = np.setdiff1d(np.arange(len(rows)), kept_indices, assume_unique=True)
         octant = (positions[remaining] * 2).astype(np.int64)
         for child in np.unique(octant, axis=0):

@@ -8,13 +8,15 @@ import numpy as np
 
 from ..io.rasters import pfm, png
 from ..rectification.warping import disparity_px, warp
-from ..types import Disparity, Frame, Geometry, Matches, Rectification
+from ..types import Disparity, Float64s, Frame, Geometry, Matches, Rectification
 from .previews import disparity_preview, matches_preview, rectified_preview
 
 PNG_STEPS = 16
 """Steps of the 16-bit disparity image per pixel of disparity."""
 FULL = 10_000
-"""Width limit that keeps the pictures as large as the frames."""
+"""Width limit in pixels that keeps the pictures as large as the frames."""
+_RECTIFICATION_FIGURES = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
+"""Fields of a rectification that enter the summary."""
 
 
 def pair_files(
@@ -33,25 +35,35 @@ def pair_files(
     matches : of the pair.
     geometry, rectification, disparity : later results of the pair; None if it did not get so far.
     """
-    files = {"matches.csv": _csv_table(matches), "1-matches.jpg": bytes(matches_preview(matches, left, right, width=FULL))}
-    if geometry is not None:
-        rows = "\n".join(" ".join(f"{v:.12e}" for v in row) for row in geometry.F)
-        files |= {"inliers.csv": _csv_table(geometry), "F.txt": f"{rows}\n".encode()}
-        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
+    files = {}
     summary: dict[str, Any] = {}
+    files["matches.csv"] = _csv_table(matches)
+    files["1-matches.jpg"] = bytes(matches_preview(matches, left, right, width=FULL))
+    if geometry is not None:
+        files["inliers.csv"] = _csv_table(geometry)
+        files["F.txt"] = _matrix_text(geometry.F)
+        files["2-inliers.jpg"] = bytes(matches_preview(geometry, left, right, width=FULL))
     if rectification is not None:
-        files |= {
-            "left-rectified.png": png(warp(rectification, 1, left.image)),
-            "right-rectified.png": png(warp(rectification, 2, right.image)),
-            "3-rectified.jpg": bytes(rectified_preview(rectification, left, right, width=FULL)),
-        }
-        names = ("method", "reason", "H1", "H2", "disparity_min_px", "disparity_max_px")
-        summary |= {f"rectification_{name}": _json_value(getattr(rectification, name)) for name in names}
-        if disparity is not None:
-            new_files, offset = _disparity_files(disparity, rectification, left, right)
-            files |= new_files
-            summary |= {"png_offset_px": offset, "png_steps_per_px": PNG_STEPS}
+        files["left-rectified.png"] = png(warp(rectification, 1, left.image))
+        files["right-rectified.png"] = png(warp(rectification, 2, right.image))
+        files["3-rectified.jpg"] = bytes(rectified_preview(rectification, left, right, width=FULL))
+        for name in _RECTIFICATION_FIGURES:
+            summary[f"rectification_{name}"] = _json_value(getattr(rectification, name))
+    # a disparity refers to the rectified images
+    if rectification is not None and disparity is not None:
+        disparity_files, offset = _disparity_files(disparity, rectification, left, right)
+        files |= disparity_files
+        summary["png_offset_px"] = offset
+        summary["png_steps_per_px"] = PNG_STEPS
     return files, summary
+
+
+def _matrix_text(matrix: Float64s) -> bytes:
+    """A matrix as text, a row to a line, with digits enough for any use of F."""
+    lines = []
+    for row in matrix:
+        lines.append(" ".join(f"{value:.12e}" for value in row) + "\n")
+    return "".join(lines).encode()
 
 
 def _disparity_files(
@@ -62,8 +74,11 @@ def _disparity_files(
     PNG: 0 is unknown, else disparity = (value - 1) / 16 + offset.  PFM: float32, bottom row first, infinite where unknown.
     """
     maps = {"left": disparity_px(disparity, 1), "right": disparity_px(disparity, 2)}
-    known = np.concatenate([m[np.isfinite(m)] for m in maps.values()])
-    offset = int(np.floor(known.min())) if known.size else 0
+    # both PNGs count from one offset, a whole pixel below all disparities
+    known = np.concatenate([values[np.isfinite(values)] for values in maps.values()])
+    offset = 0
+    if known.size:
+        offset = int(np.floor(known.min()))
     files = {"4-disparity.jpg": bytes(disparity_preview(disparity, left, right, rectification, width=FULL))}
     for name, values in maps.items():
         steps = np.nan_to_num((values - offset) * PNG_STEPS + 1, nan=0.0)
@@ -73,13 +88,19 @@ def _disparity_files(
 
 
 def _json_value(value: Any) -> Any:
+    """A figure as JSON can hold it: arrays as lists, unknown numbers as null."""
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
 
 
 def _csv_table(matches: Matches | Geometry) -> bytes:
+    """A row for each match: its pixels in both frames, and the probability that it is right."""
     lines = ["x1,y1,x2,y2,probability"]
-    for (x1, y1), (x2, y2), p in zip(matches.x1.tolist(), matches.x2.tolist(), matches.probability.tolist(), strict=True):
+    # lists, as numbers of numpy take several times as long to write
+    columns = (matches.x1.tolist(), matches.x2.tolist(), matches.probability.tolist())
+    for (x1, y1), (x2, y2), p in zip(*columns, strict=True):
         lines.append(f"{x1:.3f},{y1:.3f},{x2:.3f},{y2:.3f},{p:.4f}")
     return ("\n".join(lines) + "\n").encode()

@@ -26,9 +26,14 @@ _MOST_CODE = 65535
 """Largest coded coordinate: 16 bits."""
 _FAR_SHARE = 0.5
 """Points outside the middle 99.9 percent by more than this share of its extent are not shown: they would make the rest coarse."""
+_LEAST_EXTENT = 1e-9
+"""Least extent of a cloud, in its units: keeps the coding of a single point from dividing by zero."""
 _MOST_BYTE = 255
+"""Largest coded value of a layer: 8 bits."""
 _COMPRESSION = 5
 """Compression level of zlib: 6 takes half as long again and saves half a percent."""
+_MOST_CHANGES = MOST_POINTS // 6
+"""Largest number of points in the stream of changes, which is shown beside that of the cloud."""
 _MOST_SAMPLES = 600
 """Most points listed in the header, which show where the points are without unpacking."""
 
@@ -45,11 +50,15 @@ class Layer(NamedTuple):
 
 def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
     """The stream of a cloud: one mean point for each voxel, the smallest voxels that leave at most `most` points."""
+    # 1. Sample, and leave out what lies far away.
     sampled = slice(None, None, max(1, len(cloud.points) // (_SAMPLED_PER_POINT * most)))
     columns = (cloud.colors, cloud.confidence, cloud.views, cloud.sigma_mm)
+    # (n, 6): red, green, blue, confidence, views, sigma; voxels are averaged over all of them at once
     values = np.column_stack([column[sampled] for column in columns]).astype(np.float32)
     points = cloud.points[sampled]
     inside = _inside_extent(points)
+
+    # 2. Thin to one point for each voxel.
     points, values, voxel = _thinned(points[inside].astype(np.float64), values[inside], most)
     layers = {
         "confidence": Layer(values[:, 3], ""),
@@ -65,22 +74,28 @@ def changes_view(changes: Changes) -> bytes:
     points = changes.points[chosen].astype(np.float64)
     kind = (changes.label[chosen] == VANISHED).astype(np.float32)
     values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
-    points, values, voxel = _thinned(points, values, MOST_POINTS // 6)
-    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), {"kind": Layer(values[:, 3], "")}, voxel, int(chosen.sum()))
+    points, values, voxel = _thinned(points, values, _MOST_CHANGES)
+    layers = {"kind": Layer(values[:, 3], "")}
+    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, voxel, int(chosen.sum()))
 
 
 def thinned_view(stream: bytes, most: int) -> bytes:
     """A stream of every second, third, ... point of another one, at most `most` of them, without layers."""
     length = struct.unpack_from("<I", stream)[0]
     header = json.loads(stream[4 : 4 + length])
-    count, stride = header["n"], max(1, -(-header["n"] // most))
+    count = header["n"]
+    stride = max(1, -(-count // most))  # rounded up
+    # planes of n bytes: 3 low bytes, 3 high bytes, 3 colours, then the layers
     planes = np.frombuffer(zlib.decompress(stream[4 + length :]), np.uint8).reshape(9 + len(header["layers"]), count)
+    # the sum of the differences overflows like the differences themselves: both are modulo 65536
     coded = np.cumsum(planes[:3] + (planes[3:6].astype(np.uint16) << 8), axis=1, dtype=np.uint16)
     points = np.array(header["low"]) + coded.T[::stride] * header["step"]
+    # points lie on surfaces: a stride of n is like voxels whose edge is root n times as long
     return _stream(points, planes[6:9].T[::stride], {}, header["voxel"] * np.sqrt(stride), header["total"])
 
 
 def _inside_extent(points: Float64s) -> Bools:
+    """(n,) the points in or near the box of the middle 99.9 percent; all of a few, whose percentiles say nothing."""
     if len(points) < 100:
         return np.ones(len(points), bool)
     low, high = np.percentile(points[:: 1 + len(points) // 200_000], [0.05, 99.95], axis=0)
@@ -92,27 +107,38 @@ def _thinned(points: Float64s, values: Float32s, most: int) -> tuple[Float64s, F
     """Mean point and values of each voxel, in curve order, and the voxel's edge; up to `most` points are only reordered."""
     if not len(points):
         return points, values, 1.0
-    low, extent = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-9)
-    edge = _voxel_edge(points - low, extent, most) if len(points) > most else extent / _MOST_CODE
-    codes = _curve_codes(((points - low) / edge).astype(np.int64))
-    order = np.argsort(codes, kind="stable")
+    low = points.min(axis=0)
+    extent = max(float(np.ptp(points, axis=0).max()), _LEAST_EXTENT)
     if len(points) <= most:
+        order = _curve_order(points - low, extent / _MOST_CODE)[1]
         return points[order], values[order], extent / np.sqrt(len(points))
-    codes = codes[order]
+    edge = _voxel_edge(points - low, extent, most)
+    codes, order = _curve_order(points - low, edge)
+    # points of one voxel have one code, and follow each other
     starts = np.flatnonzero(np.concatenate([[True], codes[1:] != codes[:-1]]))
     count = np.diff(np.append(starts, len(codes)))[:, None]
     means = np.add.reduceat(points[order], starts) / count
     return means, np.asarray(np.add.reduceat(values[order], starts) / count, np.float32), edge
 
 
+def _curve_order(points: Float64s, edge: float) -> tuple[Int64s, Int64s]:
+    """Codes of points' voxels along the curve, ascending, and the indices that sort the points so (n,); the sort is stable."""
+    codes = _curve_codes((points / edge).astype(np.int64))
+    order = np.argsort(codes, kind="stable")
+    return codes[order], order
+
+
 def _voxel_edge(points: Float64s, extent: float, most: int) -> float:
     """Edge of a voxel that leaves nearly `most` voxels, and no more (on a surface their number falls with the edge's square)."""
+    # a flat square of this extent would have 0.44 most voxels
     edge = 1.5 * extent / np.sqrt(most)
     for _ in range(12):
         occupied = _occupied_voxels(points, edge)
         if 0.9 * most <= occupied <= most:
             break
+        # aim at the middle of the accepted range
         edge *= np.sqrt(occupied / (0.96 * most))
+    # the steps above may end above the limit, which binds
     while occupied > most:
         edge *= 1.03
         occupied = _occupied_voxels(points, edge)
@@ -120,7 +146,9 @@ def _voxel_edge(points: Float64s, extent: float, most: int) -> float:
 
 
 def _occupied_voxels(points: Float64s, edge: float) -> int:
+    """Number of voxels that hold points (n, 3), none of which is negative."""
     cells = (points * (1.0 / edge)).astype(np.int64)
+    # 21 bits for each axis
     codes = np.sort((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
     return 1 + int(np.count_nonzero(codes[1:] != codes[:-1]))
 
@@ -130,6 +158,7 @@ def _curve_codes(cells: Int64s) -> Int64s:
     code = np.zeros(len(cells), np.int64)
     for axis in range(3):
         bits = np.clip(cells[:, axis], 0, _MOST_CODE)
+        # each step halves the groups of neighbouring bits and moves them apart, until two zeros follow each bit
         for shift, mask in ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)):
             bits = (bits | (bits << shift)) & mask
         code |= bits << axis
@@ -137,8 +166,21 @@ def _curve_codes(cells: Int64s) -> Int64s:
 
 
 def _stream(points: Float64s, colors: Uint8s, layers: dict[str, Layer], voxel: float, total: int) -> bytes:
-    low = points.min(axis=0) if len(points) else np.zeros(3)
-    step = max(float((points - low).max()) if len(points) else 1.0, 1e-9) / _MOST_CODE
+    """The stream of points (n, 3) with colours (n, 3), in the form that the module describes.
+
+    Parameters
+    ----------
+    points, colors : of the points, in the order of the curve.
+    layers : further values by name.
+    voxel : distance of neighbouring points, in the points' unit.
+    total : number of points before they were thinned.
+    """
+    low = np.zeros(3)
+    extent = 1.0
+    if len(points):
+        low = points.min(axis=0)
+        extent = float((points - low).max())
+    step = max(extent, _LEAST_EXTENT) / _MOST_CODE
     coded = np.rint((points - low) / step).astype(np.uint16)
     differences = np.diff(coded, axis=0, prepend=np.zeros((1, 3), np.uint16))  # modulo 65536
     planes = [differences & 255, differences >> 8, colors]
@@ -162,15 +204,29 @@ def _stream(points: Float64s, colors: Uint8s, layers: dict[str, Layer], voxel: f
 
 
 def _coded(layer: Layer) -> tuple[Uint8s, dict[str, float]]:
+    """(n,) bytes of a layer, and the ends of its scales; unknown values become the largest byte."""
     values = layer.values.astype(np.float64)
     known = values[np.isfinite(values)]
-    low, high = (float(v) for v in np.percentile(known, [1, 98])) if len(known) else (0.0, 1.0)
-    if len(known) and high <= low:
-        low, high = float(known.min()), float(known.max())
+
+    # 1. The colour scale covers most values; if most are equal, all of them.
+    low = 0.0
+    high = 1.0
+    if len(known):
+        low, high = np.percentile(known, [1, 98]).tolist()
+        if high <= low:
+            low = float(known.min())
+            high = float(known.max())
     legend = {"low": round(low, 4), "high": round(high, 4)}
+
+    # 2. A logarithmic layer codes all values instead, between ends that are rounded, as the browser reads them.
     if layer.in_ratios and len(known) and known.min() > 0:
-        least, most = round(float(known.min()), 4) or 1e-4, round(float(known.max()), 4)
+        least = round(float(known.min()), 4) or 1e-4
+        most = round(float(known.max()), 4)
         legend |= {"least": least, "most": most}
-        values, low, high = np.log(np.maximum(values, least)), float(np.log(least)), float(np.log(max(most, least)))
+        values = np.log(np.maximum(values, least))
+        low = float(np.log(least))
+        high = float(np.log(max(most, least)))
+
+    # 3. One byte for each value, clipped to the ends.
     share = np.nan_to_num((values - low) / max(high - low, 1e-12), nan=1.0).clip(0, 1)
     return np.rint(share * _MOST_BYTE).astype(np.uint8), legend

@@ -24,6 +24,7 @@ class Georeference:
 
     epsg: int
     steps: str
+    """Pipeline to easting, northing and height above the ellipsoid, metres."""
     geographic: str
     """Pipeline to longitude, latitude (degrees) and height above the ellipsoid."""
     geocentric: str
@@ -31,15 +32,21 @@ class Georeference:
 
     def degrees(self, x: Any) -> tuple[float, float, float]:
         """A world point as longitude, latitude (degrees, WGS 84) and height above the ellipsoid."""
-        east, north, up = (float(value) for value in x)
+        east, north, up = np.asarray(x, np.float64).tolist()
         longitude, latitude, height = pyproj.Transformer.from_pipeline(self.geographic).transform(east, north, up)
         return longitude, latitude, height
 
     def to_earth(self) -> Float64s:
         """(4, 4) transform from world points to geocentric coordinates (EPSG 4978), metres."""
-        geocentric_points = pyproj.Transformer.from_pipeline(self.geocentric).transform(*np.vstack([np.eye(3), np.zeros(3)]).T)
-        *axes, origin = np.column_stack(geocentric_points)
-        return np.column_stack([*(np.append(axis - origin, 0.0) for axis in axes), np.append(origin, 1.0)])
+        # a local frame is a rotation and a shift away: the images of its unit points and its origin tell it
+        corners = np.vstack([np.eye(3), np.zeros(3)])
+        geocentric_points = pyproj.Transformer.from_pipeline(self.geocentric).transform(*corners.T)
+        *ends, origin = np.column_stack(geocentric_points)
+        transform = np.eye(4)
+        for axis, end in enumerate(ends):
+            transform[:3, axis] = end - origin
+        transform[:3, 3] = origin
+        return transform
 
     def points(self, X: Float64s) -> Float64s:
         """(n, 3) float64 world points as easting, northing and height above the ellipsoid, metres."""
@@ -55,15 +62,19 @@ class Georeference:
         if epsg and epsg != self.epsg:
             x, y = pyproj.Transformer.from_crs(epsg, self.epsg, always_xy=True).transform(x, y)
         back = pyproj.enums.TransformDirection.INVERSE
-        return np.column_stack(pyproj.Transformer.from_pipeline(self.steps).transform(x, y, z, direction=back)).astype(np.float64)
+        local_points = pyproj.Transformer.from_pipeline(self.steps).transform(x, y, z, direction=back)
+        return np.column_stack(local_points).astype(np.float64)
 
     def is_on_map(self, X: Float64s) -> bool:
         """Do points (n, 3) lie nearer to the site in the map's coordinates than in the site's own?"""
-        middle, origin = np.median(X[:, :2], axis=0), self.points(np.zeros((1, 3)))[0, :2]
+        middle = np.median(X[:, :2], axis=0)
+        origin = self.points(np.zeros((1, 3)))[0, :2]
+        # the site's own origin is 0, the map's thousands of kilometres away
         return bool(np.linalg.norm(middle - origin) < np.linalg.norm(middle))
 
     def directions(self, X: Float64s, directions: Float64s) -> Float64s:
         """(n, 3) unit vectors in map axes, from those at world points X: the map's north differs from the local frame's."""
+        # differences over a metre: the convergence of the meridians hardly changes within it
         map_directions = self.points(X + directions) - self.points(X)
         return np.asarray(map_directions / np.linalg.norm(map_directions, axis=1, keepdims=True), dtype=np.float64)
 
@@ -80,8 +91,13 @@ def georeference(crs: str) -> Georeference:
     longitude, latitude, _ = pyproj.Transformer.from_pipeline(f"{to_geographic} {to_degrees}").transform(0.0, 0.0, 0.0)
     if not -80 <= latitude <= 84:
         raise ValueError(f"UTM does not reach latitude {latitude:g}")
+    # 60 zones of 6 degrees, the first from 180 degrees west
     zone = int((longitude + 180) // 6) % 60 + 1
-    south = " +south" if latitude < 0 else ""
-    steps = f"{to_geographic} +step +proj=utm +zone={zone}{south} +ellps=WGS84"
-    epsg = (32700 if south else 32600) + zone
+    if latitude < 0:
+        epsg = 32700 + zone
+        hemisphere = " +south"
+    else:
+        epsg = 32600 + zone
+        hemisphere = ""
+    steps = f"{to_geographic} +step +proj=utm +zone={zone}{hemisphere} +ellps=WGS84"
     return Georeference(epsg, steps, f"{to_geographic} {to_degrees}", f"+proj=pipeline +step +inv {crs}")
