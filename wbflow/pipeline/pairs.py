@@ -33,8 +33,16 @@ MOST_DROPPED = 24
 """Largest number of dropped pairs per view that are listed with their reason, by descending worth."""
 MOST_NAMED = 8
 """Largest number of left-out views named in the note about a view with `MOST_PAIRS_PER_VIEW` pairs."""
-_SIMILARITY_LOSS, _BEST_ANGLE_DEG = 0.047, 12.0
-"""Relative loss of similarity per degree between two views, and the best angle (degrees) if only similarity is known."""
+_SIMILARITY_LOSS = 0.047
+"""Relative loss of similarity per degree between two views; measured on two photographed sites."""
+_BEST_ANGLE_DEG = 12.0
+"""Best angle between two views in degrees, if only similarity is known."""
+_NARROW_DEG = 10.0
+"""Angle in degrees below which a pair loses worth, since its depths become inexact."""
+_WIDE_DEG = 25.0
+"""Angle in degrees above which a pair loses worth, since it becomes hard to match."""
+_WIDE_SCALE_DEG = 15.0
+"""A pair this many degrees wider than `_WIDE_DEG` has half its worth."""
 _LEAST_WORTH = 0.04
 """Pairs with a view of a multi-view camera are dropped below this worth, unless they connect cameras: other views see more."""
 _LEAST_SHARE_OF_BEST = 0.5
@@ -113,31 +121,39 @@ def select_pairs(
     -------
     PairGraph
     """
-    included, excluded = dict.fromkeys(map(frozenset, include)), set(map(frozenset, exclude))
+    # 1. The evidence, and the pairs that it, or the site file, rules out.
+    included = dict.fromkeys(map(frozenset, include))
+    excluded = set(map(frozenset, exclude))
     all_evidence = _evidence_of(overlap)
-    unfit = {pair: why for pair, known in all_evidence.items() if (why := _unfit_reason(known, min_angle, max_angle))}
+    unfit = _unfit_pairs(all_evidence, min_angle, max_angle)
     evidence = _preselected(all_evidence, len(overlap.cameras), unfit, included.keys() | excluded)
     forced = _forced_pairs(included, overlap.cameras, evidence)
-    evidence = evidence | {pair: _NOTHING_KNOWN for pair in forced if pair not in evidence}
-    best_first = sorted(evidence, key=lambda pair: -evidence[pair].worth)
-
+    evidence = dict(evidence)
     for pair in forced:
-        unfit.pop(pair, None)
-    unfit |= {pair: "excluded by the site file" for pair in evidence if _cameras_of(pair) in excluded}
-    candidates = {pair: evidence[pair].worth for pair in best_first if pair not in unfit}
-    low_worth = _low_worth_pairs(evidence)
-    chosen = _choose(overlap.cameras, candidates, [p for p in evidence if p in forced and p in candidates], low_worth, degree)
+        evidence.setdefault(pair, _NOTHING_KNOWN)
+        unfit.pop(pair, None)  # the site file overrules the evidence, but `exclude` overrules `include`
+    for pair in evidence:
+        if _cameras_of(pair) in excluded:
+            unfit[pair] = "excluded by the site file"
 
-    counts = Counter(view for pair in chosen for view in pair)
-    listed = chosen.keys() | _among_best((pair for pair in best_first if pair not in chosen), MOST_DROPPED)
+    # 2. The choice, among the others by descending worth.
+    best_first = _by_worth(evidence, evidence)
+    candidates = {pair: evidence[pair].worth for pair in best_first if pair not in unfit}
+    forced_candidates = [pair for pair in evidence if pair in forced and pair in candidates]
+    low_worth = _low_worth_pairs(evidence)
+    chosen = _choose(overlap.cameras, candidates, forced_candidates, low_worth, degree)
+
+    # 3. The reasons: for all chosen pairs, and for the best of the others.
+    counts = _pair_counts(chosen)
+    dropped = [pair for pair in best_first if pair not in chosen]
+    listed = chosen.keys() | _among_best(dropped, MOST_DROPPED)
     edges = []
-    for pair in (pair for pair in evidence if pair in listed):
-        reason = chosen.get(pair) or unfit.get(pair) or _drop_reason(pair, low_worth, counts, degree)
-        edges.append(Edge(*pair, pair in chosen, reason, evidence[pair].angle_deg, evidence[pair].shared))
+    for pair, known in evidence.items():
+        if pair in listed:
+            reason = chosen.get(pair) or unfit.get(pair) or _drop_reason(pair, low_worth, counts, degree)
+            edges.append(Edge(*pair, pair in chosen, reason, known.angle_deg, known.shared))
     kept = tuple(pair for pair in evidence if pair in chosen)
-    left_out = [pair for pair in candidates if pair not in chosen]
-    full_views = [view for view in overlap.cameras if counts[view] >= MOST_PAIRS_PER_VIEW]
-    crowded = {view: note for view in full_views if (note := _left_out_note(view, left_out))}
+    crowded = _left_out_notes(overlap.cameras, counts, [pair for pair in candidates if pair not in chosen])
     unlisted = len(all_evidence.keys() | evidence.keys()) - len(edges)
     return PairGraph(kept, tuple(edges), _groups(overlap.cameras, kept), unlisted, crowded)
 
@@ -172,19 +188,22 @@ def select_dense_pairs(
     """
     graph = select_pairs(shared, degree=degree, min_angle=min_angle, max_angle=max_angle, include=include, exclude=exclude)
     evidence = _evidence_of(shared)
-    by_rules, placed_views = set(graph.pairs), set(shared.cameras)
+    by_rules = set(graph.pairs)
+    placed_views = set(shared.cameras)
     others = [pair for pair in pairs.pairs if pair not in by_rules]
-    placed = sorted((pair for pair in others if pair in evidence), key=lambda pair: -evidence[pair].worth)
-    counts = Counter(view for pair in graph.pairs for view in pair)
+    placed = _by_worth([pair for pair in others if pair in evidence], evidence)
+    counts = _pair_counts(graph.pairs)
     added: dict[Pair, str] = {}
 
     def add(pair: Pair, reason: str) -> None:
         added[pair] = reason
         counts.update(pair)
 
+    # 1. Matched pairs that the rules leave out, best first, where there is room.
     for pair in placed:
         if max(counts[view] for view in pair) < min(degree, MOST_PAIRS_PER_VIEW):
             add(pair, "matched, and both cameras have room for it")
+    # a pair added above leaves no view without one, so none is added twice
     for pair in placed:
         fewest, most = sorted(counts[view] for view in pair)
         if fewest == 0 and most < MOST_PAIRS_PER_VIEW:
@@ -193,12 +212,17 @@ def select_dense_pairs(
         if not placed_views.issuperset(pair) and max(counts[view] for view in pair) < MOST_PAIRS_PER_VIEW:
             add(pair, "matched; its cameras are not both placed")
 
+    # 2. The graph with these pairs; cameras of matched pairs that are not placed are part of it, too.
     edges = {(edge.left, edge.right): edge for edge in graph.edges}
     for pair, reason in added.items():
         known = evidence.get(pair, _NOTHING_KNOWN)
         edges[pair] = Edge(*pair, True, reason, known.angle_deg, known.shared)
     kept = tuple(pair for pair, edge in edges.items() if edge.kept)
-    views = [*shared.cameras, *(view for pair in kept for view in pair), *(camera for c in pairs.components for camera in c)]
+    views = list(shared.cameras)
+    for pair in kept:
+        views += pair
+    for component in pairs.components:
+        views += component
     return PairGraph(kept, tuple(edges.values()), _groups(views, kept), graph.unlisted, graph.crowded)
 
 
@@ -211,13 +235,21 @@ def _evidence_of(overlap: Any) -> dict[Pair, Evidence]:
     """The evidence of all pairs.  Two views of one camera have no baseline, and are not a pair."""
     import numpy as np
 
-    angle, shared = overlap.angle_deg, _shared_with_baseline(overlap)
-    penalty = np.maximum(0.0, (10 - angle) / 10) ** 2 + np.maximum(0.0, (angle - 25) / 15) ** 2
-    worth = shared / (1 + np.nan_to_num(penalty))
+    angle = overlap.angle_deg
+    shared = _shared_with_baseline(overlap)
+    too_narrow = np.maximum(0.0, (_NARROW_DEG - angle) / _NARROW_DEG)
+    too_wide = np.maximum(0.0, (angle - _WIDE_DEG) / _WIDE_SCALE_DEG)
+    penalty = too_narrow**2 + too_wide**2
+    worth = shared / (1 + np.nan_to_num(penalty))  # an unknown angle costs nothing
+
     names = overlap.cameras
-    pairs = [(names[i], names[j]) for i, j in overlap.pairs.tolist()]
-    known = map(Evidence, angle.tolist(), overlap.shared.tolist(), worth.tolist())
-    return {pair: evidence for pair, evidence in zip(pairs, known, strict=True) if len(_cameras_of(pair)) == 2}
+    evidence = {}
+    rows = zip(overlap.pairs.tolist(), angle.tolist(), overlap.shared.tolist(), worth.tolist(), strict=True)
+    for (i, j), *figures in rows:
+        pair = (names[i], names[j])
+        if len(_cameras_of(pair)) == 2:
+            evidence[pair] = Evidence(*figures)
+    return evidence
 
 
 def _shared_with_baseline(overlap: Any) -> np.ndarray:
@@ -230,13 +262,26 @@ def _shared_with_baseline(overlap: Any) -> np.ndarray:
 
     shared: np.ndarray = overlap.shared.copy()
     only_similarity = np.isnan(overlap.angle_deg) & (shared > 0)
-    if len(overlap.cameras) > MOST_VIEWS_ALL_PAIRS and only_similarity.any():
-        best = np.zeros(len(overlap.cameras))
-        for side in overlap.pairs[only_similarity].T:
-            np.maximum.at(best, side, shared[only_similarity])
-        target = math.exp(-_SIMILARITY_LOSS * _BEST_ANGLE_DEG) * float(np.median(best[best > 0]))
-        shared[only_similarity] = np.minimum(shared[only_similarity], target**2 / shared[only_similarity])
+    if len(overlap.cameras) <= MOST_VIEWS_ALL_PAIRS or not only_similarity.any():
+        return shared
+    # the best similarity of each view
+    best = np.zeros(len(overlap.cameras))
+    for side in overlap.pairs[only_similarity].T:
+        np.maximum.at(best, side, shared[only_similarity])
+    # similarity at the best angle; mirrored there in its logarithm, in which it falls evenly with the angle
+    target = math.exp(-_SIMILARITY_LOSS * _BEST_ANGLE_DEG) * float(np.median(best[best > 0]))
+    shared[only_similarity] = np.minimum(shared[only_similarity], target**2 / shared[only_similarity])
     return shared
+
+
+def _unfit_pairs(evidence: Mapping[Pair, Evidence], min_angle: float, max_angle: float) -> dict[Pair, str]:
+    """The pairs that are not worth matching, and why.  Angles in degrees."""
+    unfit = {}
+    for pair, known in evidence.items():
+        reason = _unfit_reason(known, min_angle, max_angle)
+        if reason is not None:
+            unfit[pair] = reason
+    return unfit
 
 
 def _unfit_reason(known: Evidence, min_angle: float, max_angle: float) -> str | None:
@@ -262,10 +307,13 @@ def _preselected(
         return evidence
     import networkx as nx
 
-    best_first = sorted(evidence, key=lambda pair: -evidence[pair].worth)
+    # 1. The best pairs of each view, to be chosen or at least to be listed, and those that the site file names.
+    best_first = _by_worth(evidence, evidence)
     fit = [pair for pair in best_first if pair not in unfit]
     kept_pairs = _among_best(best_first, MOST_DROPPED) | _among_best(fit, MOST_CANDIDATES)
     kept_pairs |= {pair for pair in evidence if _cameras_of(pair) in named}
+
+    # 2. Further pairs that connect what these leave apart: the kept ones come first, and each part best first (a stable sort).
     connected = nx.utils.UnionFind()
     for pair in sorted(fit, key=lambda pair: pair not in kept_pairs):
         left, right = map(camera_of, pair)
@@ -275,9 +323,20 @@ def _preselected(
     return {pair: known for pair, known in evidence.items() if pair in kept_pairs}
 
 
+def _by_worth(pairs: Iterable[Pair], evidence: Mapping[Pair, Evidence]) -> list[Pair]:
+    """Pairs by descending worth; those of equal worth keep their order."""
+    return sorted(pairs, key=lambda pair: -evidence[pair].worth)
+
+
+def _pair_counts(pairs: Iterable[Pair]) -> Counter[str]:
+    """Number of pairs of each view."""
+    return Counter(view for pair in pairs for view in pair)
+
+
 def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:
     """The pairs that are among the best `most` of at least one of their views."""
-    best_pairs, counts = set[Pair](), Counter[str]()
+    best_pairs: set[Pair] = set()
+    counts: Counter[str] = Counter()
     for pair in best_first:
         if min(counts[view] for view in pair) < most:
             best_pairs.add(pair)
@@ -293,6 +352,7 @@ def _forced_pairs(included: Iterable[frozenset[str]], views: Sequence[str], evid
     best_pairs = _best_pairs(evidence)
     forced = []
     for cameras in included:
+        # the first view of each camera: the last assignment wins, so the views are taken in reverse
         first_views = {camera_of(view): view for view in reversed(views) if camera_of(view) in cameras}
         if cameras in best_pairs:
             forced.append(best_pairs[cameras])
@@ -316,10 +376,12 @@ def _low_worth_pairs(evidence: Mapping[Pair, Evidence]) -> set[Pair]:
     best_pairs = _best_pairs(evidence)
     low_worth = set()
     for pair, known in evidence.items():
-        cameras, least = _cameras_of(pair), _LEAST_WORTH
+        cameras = _cameras_of(pair)
+        least = _LEAST_WORTH
         if math.isnan(known.angle_deg):
             least = min(least, _LEAST_SHARE_OF_BEST * evidence[best_pairs[cameras]].worth)
-        if cameras != {*pair} and known.worth < least:
+        has_multi_view_camera = cameras != {*pair}  # the id of a camera's only view is the camera's own
+        if has_multi_view_camera and known.worth < least:
             low_worth.add(pair)
     return low_worth
 
@@ -332,74 +394,140 @@ def _choose(
     candidates: worth by pair, best first.  forced: pairs that are always chosen, if their views have room.  low_worth: pairs that
     are chosen only to connect cameras.  degree: pairs to choose at each view.
     """
-    import networkx as nx  # here, so that a report that only shows the graph need not import it
-
-    chosen: dict[Pair, str] = {}
-    partners: dict[str, set[str]] = {view: set() for view in views}
-    camera_graph = nx.Graph()
-    camera_graph.add_nodes_from(map(camera_of, views))
-
-    def take(pair: Pair, reason: str) -> None:
-        left, right = pair
-        chosen[pair] = reason
-        partners[left].add(right)
-        partners[right].add(left)
-        camera_graph.add_edge(camera_of(left), camera_of(right))
-
-    def may_take(pair: Pair, most: int = MOST_PAIRS_PER_VIEW) -> bool:
-        return pair not in chosen and all(len(partners[view]) < most for view in pair)
-
+    selection = _Selection(views)
     for pair in forced:
-        if may_take(pair):
-            take(pair, "included by the site file")
+        if selection.has_room(pair):
+            selection.take(pair, "included by the site file")
+    _span(selection, candidates)
+    _cover_weak_cuts(selection, candidates)
+    for pair in candidates:
+        if pair in low_worth or not selection.has_room(pair, min(degree, MOST_PAIRS_PER_VIEW)):
+            continue
+        triangles = selection.common_partners(pair)
+        if triangles == 0:
+            selection.take(pair, "among the best of its cameras")
+        elif triangles == 1:
+            selection.take(pair, "closes 1 triangle")
+        else:
+            selection.take(pair, f"closes {triangles} triangles")
+    return selection.chosen
+
+
+class _Selection:
+    """The pairs chosen so far."""
+
+    def __init__(self, views: Sequence[str]) -> None:
+        import networkx as nx  # here, so that a report that only shows the graph need not import it
+
+        self.chosen: dict[Pair, str] = {}
+        """The reason for each chosen pair."""
+        self.camera_graph = nx.Graph()
+        """Cameras, joined if any of their views make a chosen pair."""
+        self.camera_graph.add_nodes_from(map(camera_of, views))
+        self._partners: dict[str, set[str]] = {view: set() for view in views}
+
+    def take(self, pair: Pair, reason: str) -> None:
+        """Choose a pair."""
+        left, right = pair
+        self.chosen[pair] = reason
+        self._partners[left].add(right)
+        self._partners[right].add(left)
+        self.camera_graph.add_edge(camera_of(left), camera_of(right))
+
+    def has_room(self, pair: Pair, most: int = MOST_PAIRS_PER_VIEW) -> bool:
+        """Has neither view `most` pairs yet, and is the pair not chosen already?"""
+        left, right = pair
+        return pair not in self.chosen and len(self._partners[left]) < most and len(self._partners[right]) < most
+
+    def common_partners(self, pair: Pair) -> int:
+        """Number of views that are partners of both."""
+        left, right = pair
+        return len(self._partners[left] & self._partners[right])
+
+
+def _span(selection: _Selection, candidates: Iterable[Pair]) -> None:
+    """Choose a maximum spanning tree of the cameras (Kruskal, 1956), as long as both views of a pair have room."""
+    import networkx as nx
+
     connected = nx.utils.UnionFind()
-    for pair in candidates:  # Kruskal (1956), as long as both views have room
+    for pair in candidates:
         left, right = map(camera_of, pair)
-        if connected[left] != connected[right] and (pair in chosen or may_take(pair)):
+        if connected[left] == connected[right]:
+            continue
+        # a forced pair is part of the tree where it comes up
+        if pair in selection.chosen:
             connected.union(left, right)
-            if pair not in chosen:
-                take(pair, "in the spanning tree")
+        elif selection.has_room(pair):
+            connected.union(left, right)
+            selection.take(pair, "in the spanning tree")
+
+
+def _cover_weak_cuts(selection: _Selection, candidates: dict[Pair, float]) -> None:
+    """Choose a second pair across each cut that only one pair crosses (a bridge), so that one failure does not split the site."""
+    import networkx as nx
+
+    graph = selection.camera_graph
+    # the best worth of each two cameras: the last assignment wins, so the best comes last
     best_worth = {_cameras_of(pair): worth for pair, worth in reversed(candidates.items())}
-    for bridge in sorted(nx.bridges(camera_graph), key=lambda bridge: (best_worth[frozenset(bridge)], bridge)):
-        camera_graph.remove_edge(*bridge)
-        near, far = (nx.node_connected_component(camera_graph, camera) for camera in bridge)
-        camera_graph.add_edge(*bridge)
+    weakest_first = sorted(nx.bridges(graph), key=lambda bridge: (best_worth[frozenset(bridge)], bridge))
+    for bridge in weakest_first:
+        graph.remove_edge(*bridge)
+        near = nx.node_connected_component(graph, bridge[0])
+        far = nx.node_connected_component(graph, bridge[1])
+        graph.add_edge(*bridge)
         if near == far:  # a pair that covers a weaker cut covers this one, too
             continue
-        crossing = (pair for pair in candidates if near & _cameras_of(pair) and far & _cameras_of(pair) and may_take(pair))
-        if best := next(crossing, None):
-            take(best, f"covers the weak cut {bridge[0]}--{bridge[1]}")
-    for pair in candidates:
-        if pair not in low_worth and may_take(pair, min(degree, MOST_PAIRS_PER_VIEW)):
-            triangles = len(partners[pair[0]] & partners[pair[1]])
-            closed = f"closes {triangles} triangle{'s' * (triangles != 1)}"
-            take(pair, closed if triangles else "among the best of its cameras")
-    return chosen
+        for pair in candidates:
+            cameras = _cameras_of(pair)
+            if near & cameras and far & cameras and selection.has_room(pair):
+                selection.take(pair, f"covers the weak cut {bridge[0]}--{bridge[1]}")
+                break
 
 
 def _drop_reason(pair: Pair, low_worth: Collection[Pair], counts: Mapping[str, int], degree: int) -> str:
+    """Why a candidate was not chosen; counts: pairs of each view."""
     if pair in low_worth:
         return "other views of their cameras share more"
-    if full_view := next((view for view in pair if counts[view] >= MOST_PAIRS_PER_VIEW), None):
-        return f"{full_view} has {MOST_PAIRS_PER_VIEW} better pairs, the most that a view can have"
+    for view in pair:
+        if counts[view] >= MOST_PAIRS_PER_VIEW:
+            return f"{view} has {MOST_PAIRS_PER_VIEW} better pairs, the most that a view can have"
     return f"both cameras have better pairs already (degree {degree})"
 
 
-def _left_out_note(view: str, left_out: Iterable[Pair]) -> str:
-    """A note that names the candidates left out at a full view; "" if there are none.  left_out: those of all views."""
-    others = [other for pair in left_out if view in pair for other in pair if other != view]
-    if not others:
-        return ""
-    names = ", ".join(others[:MOST_NAMED]) + (f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else "")
-    return f"it has {MOST_PAIRS_PER_VIEW} pairs, the most that a view can have; left out: those with {names}"
+def _left_out_notes(views: Iterable[str], counts: Mapping[str, int], left_out: Collection[Pair]) -> dict[str, str]:
+    """A note for each view with the most pairs possible that names the candidates left out there.
+
+    counts: pairs of each view.  left_out: candidates that were not chosen, best first.
+    """
+    notes = {}
+    for view in views:
+        if counts[view] < MOST_PAIRS_PER_VIEW:
+            continue
+        others = []
+        for left, right in left_out:
+            if left == view:
+                others.append(right)
+            elif right == view:
+                others.append(left)
+        if others:
+            names = ", ".join(others[:MOST_NAMED])
+            if len(others) > MOST_NAMED:
+                names += f" and {len(others) - MOST_NAMED} more"
+            most = f"it has {MOST_PAIRS_PER_VIEW} pairs, the most that a view can have"
+            notes[view] = f"{most}; left out: those with {names}"
+    return notes
 
 
 def _groups(views: Iterable[str], pairs: Collection[Pair]) -> tuple[tuple[str, ...], ...]:
     """Groups of cameras that pairs connect, largest group first."""
     import networkx as nx
 
-    graph = nx.Graph((camera_of(left), camera_of(right)) for left, right in pairs)
-    position = {camera: i for i, camera in enumerate(dict.fromkeys(map(camera_of, views)))}
-    graph.add_nodes_from(position)
-    components = [tuple(sorted(c, key=position.__getitem__)) for c in nx.connected_components(graph)]
-    return tuple(sorted(components, key=lambda c: (-len(c), position[c[0]])))
+    graph = nx.Graph()
+    for left, right in pairs:
+        graph.add_edge(camera_of(left), camera_of(right))
+    cameras = dict.fromkeys(map(camera_of, views))
+    position = {camera: i for i, camera in enumerate(cameras)}
+    graph.add_nodes_from(cameras)
+    # sets of cameras; in the order of the site file within a group, and between groups of one size
+    groups = [tuple(sorted(cameras, key=position.__getitem__)) for cameras in nx.connected_components(graph)]
+    return tuple(sorted(groups, key=lambda group: (-len(group), position[group[0]])))
