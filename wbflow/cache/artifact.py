@@ -21,7 +21,9 @@ from .checksum import content_digest
 from .ply import columns_of, ply_bytes
 
 MAGIC = b"WBF1"
+"""First bytes of an artifact: the format and its version."""
 _SCALARS = (bool, int, float, str)  # a tuple: `bool | int` would be built anew at each check
+"""Types that a header holds as they are."""
 
 
 class ArtifactError(WbflowError, ValueError):
@@ -31,23 +33,36 @@ class ArtifactError(WbflowError, ValueError):
 def bytes_and_facts(result: Any, stage: str, key: str) -> tuple[bytes | bytearray, dict[str, Any]]:
     """Return the bytes of a result, and the fields of its receipt that describe them."""
     data = result_bytes(result, stage)
-    facts = {"digest": content_digest(data), "parts": parts(result), "file": f"{key}{suffix_of(stage)}", "bytes": len(data)}
-    return data, {**facts, "figures": figures(result)}
+    facts = {
+        "digest": content_digest(data),
+        "parts": parts(result),
+        "file": f"{key}{suffix_of(stage)}",
+        "bytes": len(data),
+        "figures": figures(result),
+    }
+    return data, facts
 
 
 def suffix_of(stage: str) -> str:
     """Return the suffix of a stage's artifacts: ".ply" for clouds, ".wbf" for everything else."""
-    return ".ply" if stage == FUSE else ".wbf"
+    if stage == FUSE:
+        return ".ply"
+    return ".wbf"
 
 
 def result_bytes(result: Any, stage: str) -> bytes | bytearray:
     """Return the bytes that the cache stores for a result of a stage."""
-    return ply_bytes(load(CLOUD_COLUMNS)(result), comments=("made by wbflow",)) if stage == FUSE else encode(result)
+    if stage == FUSE:
+        # the columns are made by the stages: the engine does not know what a cloud is
+        return ply_bytes(load(CLOUD_COLUMNS)(result), comments=("made by wbflow",))
+    return encode(result)
 
 
 def result_of(data: bytes, stage: str) -> Any:
     """Return the result that bytes of the cache hold.  Raises ArtifactError, ValueError."""
-    return load(RESTORE_CLOUD)(columns_of(data)) if stage == FUSE else decode(data)
+    if stage == FUSE:
+        return load(RESTORE_CLOUD)(columns_of(data))
+    return decode(data)
 
 
 def encode(value: Any) -> bytes:
@@ -57,8 +72,11 @@ def encode(value: Any) -> bytes:
     """
     import zstandard
 
+    # level 1: 11 ms for a disparity map of 1080p, where numpy's savez_compressed takes 284 ms for more bytes
+    compress = zstandard.ZstdCompressor(level=1).compress
     frames: list[bytes] = []
-    header = json.dumps(_to_tree(value, frames, zstandard.ZstdCompressor(level=1).compress), separators=(",", ":")).encode()
+    tree = _to_tree(value, frames, compress)
+    header = json.dumps(tree, separators=(",", ":")).encode()
     return b"".join([MAGIC, len(header).to_bytes(4, "little"), header, *frames])
 
 
@@ -69,7 +87,7 @@ def decode(data: bytes) -> Any:
     """
     if data[:4] != MAGIC or len(data) < 8:
         raise ArtifactError("not a wbflow artifact")
-    end = 8 + int.from_bytes(data[4:8], "little")
+    end = 8 + int.from_bytes(data[4:8], "little")  # of the header
     try:
         tree = json.loads(data[8:end])
     except ValueError as error:
@@ -89,9 +107,15 @@ def parts(value: Any) -> dict[str, str]:
         if dataclasses.is_dataclass(field):
             digests[name] = content_digest(encode(field))
         elif isinstance(field, Mapping):
-            entries = {key: content_digest(encode(e)) if dataclasses.is_dataclass(e) else "" for key, e in field.items()}
-            digests |= {f"{name}[{key}]": digest for key, digest in entries.items() if digest}
-            digests[name] = content_digest(json.dumps([(_json_key(key), digest) for key, digest in entries.items()]).encode())
+            # the digest of the mapping covers its keys and their order, whatever the entries are
+            entries: list[tuple[Any, str]] = []
+            for key, entry in field.items():
+                digest = ""
+                if dataclasses.is_dataclass(entry):
+                    digest = content_digest(encode(entry))
+                    digests[f"{name}[{key}]"] = digest
+                entries.append((_json_key(key), digest))
+            digests[name] = content_digest(json.dumps(entries).encode())
     return digests
 
 
@@ -106,6 +130,7 @@ def figures(value: Any) -> dict[str, Any]:
     for name, field in _fields_of(value).items():
         if name not in reported:
             continue
+        # from the simplest kind of field to the largest; what is none of these is left out
         if _is_plain(field):
             values[name] = field
         elif isinstance(field, tuple) and all(map(_is_small, field)):
@@ -124,7 +149,11 @@ def figures(value: Any) -> dict[str, Any]:
 
 def _fields_of(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass by name, without those marked `transient`, which are recomputed when missing."""
-    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if not f.metadata.get("transient")}
+    fields = {}
+    for field in dataclasses.fields(value):
+        if not field.metadata.get("transient"):
+            fields[field.name] = getattr(value, field.name)
+    return fields
 
 
 def _is_small(value: Any) -> bool:
@@ -135,14 +164,18 @@ def _is_small(value: Any) -> bool:
 
 
 def _is_plain(value: Any) -> bool:
+    """Can JSON hold the value as it is?  Numbers that are not finite it cannot."""
     if isinstance(value, tuple):
         return all(map(_is_plain, value))
     if isinstance(value, Mapping):
         return all(isinstance(key, str) and _is_plain(entry) for key, entry in value.items())
-    return value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return value is None or isinstance(value, (bool, int, str))
 
 
 def _to_tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
+    """The header node of a value; the bytes of its arrays are appended to `frames`, depth first.  Raises TypeError."""
     if value is None or isinstance(value, _SCALARS):
         return value
     if hasattr(value, "dtype"):
@@ -159,14 +192,19 @@ def _to_tree(value: Any, frames: list[bytes], compress: Callable[[bytes], bytes]
 
 
 def _json_key(key: Any) -> Any:
-    return list(key) if isinstance(key, tuple) else key
+    """A key as JSON can hold it: pairs of ids become lists."""
+    if isinstance(key, tuple):
+        return list(key)
+    return key
 
 
 def _array_to_tree(array: Any, frames: list[bytes], compress: Callable[[bytes], bytes]) -> Any:
+    """The header node of an array, whose bytes are appended to `frames`.  Raises TypeError for an array of Python objects."""
     import numpy as np
 
-    shape = list(array.shape)
+    shape = list(array.shape)  # before the next step, which gives an array without dimensions one
     array = np.ascontiguousarray(array)
+    # little-endian on every machine: equal arrays give equal bytes
     if array.dtype.byteorder == ">":
         array = array.astype(array.dtype.newbyteorder("<"))
     if array.dtype.hasobject:
@@ -181,7 +219,8 @@ def _array_from_tree(node: Mapping[str, Any], frames: IO[bytes]) -> Any:
     import zstandard  # imported here: objects without arrays need neither
 
     try:
-        raw = bytearray(zstandard.ZstdDecompressor().decompress(frames.read(node["bytes"])))
+        packed = frames.read(node["bytes"])
+        raw = bytearray(zstandard.ZstdDecompressor().decompress(packed))  # a bytearray makes the array writable
         return np.frombuffer(raw, dtype=np.dtype(node["array"])).reshape(node["shape"])
     except (zstandard.ZstdError, ValueError) as error:
         raise ArtifactError(f"damaged array: {error}") from error
@@ -196,13 +235,17 @@ def _from_tree(node: Any, frames: IO[bytes]) -> Any:
     if "tuple" in node:
         return tuple(_from_tree(item, frames) for item in node["tuple"])
     if "map" in node:
-        return {tuple(key) if isinstance(key, list) else key: _from_tree(entry, frames) for key, entry in node["map"]}
+        entries = {}
+        for key, entry in node["map"]:
+            entries[tuple(key) if isinstance(key, list) else key] = _from_tree(entry, frames)
+        return entries
     try:
         kind: Any = load(node["type"])
     except ValueError:
         raise ArtifactError(f"{node['type']} is no name of a class") from None
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise ArtifactError(f"{node['type']} is not a dataclass")
+    # all fields are read, since their arrays follow each other; those that the class no longer has are dropped
     fields = {name: _from_tree(tree, frames) for name, tree in node["fields"].items()}
     field_names = {field.name for field in dataclasses.fields(kind)}
     return kind(**{name: value for name, value in fields.items() if name in field_names})

@@ -33,12 +33,14 @@ def write_atomic(path: Path, data: bytes | bytearray, *, durable: bool = True, o
 
     Raises OSError; for a full disk, its message states the space needed and the space free.
     """
+    # in the same folder, so that the rename stays within one file system; hidden, with a random part that no other writer has
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
             file.write(data)
             if durable:
+                # the content reaches the disk before the rename does: otherwise a power cut could leave an empty file
                 file.flush()
                 os.fsync(file.fileno())
         if own_path and path.is_dir() and not path.is_symlink():
@@ -46,7 +48,7 @@ def write_atomic(path: Path, data: bytes | bytearray, *, durable: bool = True, o
         temporary.replace(path)
         if durable:
             sync_folder(path.parent)
-    except BaseException as error:
+    except BaseException as error:  # an interrupt, too, must leave nothing half-written
         with contextlib.suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:

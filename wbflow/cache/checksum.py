@@ -19,18 +19,24 @@ from ..errors import WbflowError
 from .atomic import write_atomic
 from .untrusted import MOST_CAPTURE_BYTES, Unreadable, open_untrusted, read_untrusted
 
-_HEAD, _TAIL = b'{"signed":"', b'",'  # the entry keeps the name that the first version gave it
-_BODY_START = len(_HEAD) + 32 + len(_TAIL)
+_DIGITS = 32
+"""Hexadecimal digits of a digest: 128 bits."""
+_HEAD = b'{"signed":"'  # the entry keeps the name that the first version gave it
+"""What a file with a checksum begins with; the digest follows."""
+_TAIL = b'",'
+"""What follows the digest; the rest of the file is what the digest covers."""
+_BODY_START = len(_HEAD) + _DIGITS + len(_TAIL)
+"""Position of the bytes that the digest covers."""
 
 
 def content_digest(data: bytes | bytearray | memoryview) -> str:
     """Return the digest by which files and artifacts are compared: the first 32 hexadecimal digits of SHA-256."""
-    return hashlib.sha256(data).hexdigest()[:32]
+    return hashlib.sha256(data).hexdigest()[:_DIGITS]
 
 
 def file_digest(path: Path) -> str:
     """Return the content digest of a file from outside, read in chunks.  Raises OSError."""
-    return _sha256(path, MOST_CAPTURE_BYTES)[:32]
+    return _sha256(path, MOST_CAPTURE_BYTES)[:_DIGITS]
 
 
 def sha256_of(path: Path) -> str:
@@ -61,21 +67,29 @@ def dump_with_checksum(of: str, content: Mapping[str, Any], in_lines: bool = Fal
     "signed" or "of".  in_lines: write one entry per line, for files that people read.
     """
     entries = {"of": of, **content}
-    body = (dump_in_lines(entries) if in_lines else json.dumps(entries, separators=(",", ":"))).encode()[1:]
+    if in_lines:
+        text = dump_in_lines(entries)
+    else:
+        text = json.dumps(entries, separators=(",", ":"))
+    body = text.encode()[1:]  # without the brace, with which the head begins
     return _HEAD + content_digest(body).encode() + _TAIL + body
 
 
 def dump_in_lines(content: Mapping[str, Any]) -> str:
     """Return a JSON object for people, with one entry per line, or one item per line for entries that are lists or objects.
     (`json.dumps` takes twenty times as long with indentation as without.)"""
-    return "{\n " + ",\n ".join(f"{json.dumps(name)}: {_entry_lines(entry)}" for name, entry in content.items()) + "\n}"
+    lines = [f"{json.dumps(name)}: {_entry_lines(entry)}" for name, entry in content.items()]
+    return "{\n " + ",\n ".join(lines) + "\n}"
 
 
 def _entry_lines(entry: Any) -> str:
+    """An entry as JSON, with one item per line if it is a list or an object."""
     if isinstance(entry, Mapping) and entry:
-        return "{\n  " + ",\n  ".join(f"{json.dumps(name)}: {json.dumps(item)}" for name, item in entry.items()) + "\n }"
+        items = [f"{json.dumps(name)}: {json.dumps(item)}" for name, item in entry.items()]
+        return "{\n  " + ",\n  ".join(items) + "\n }"
     if isinstance(entry, list | tuple) and entry:
-        return "[\n  " + ",\n  ".join(map(json.dumps, entry)) + "\n ]"
+        items = [json.dumps(item) for item in entry]
+        return "[\n  " + ",\n  ".join(items) + "\n ]"
     return json.dumps(entry)
 
 
@@ -90,7 +104,8 @@ def parse_checksummed(data: bytes, of: str) -> dict[str, Any]:
     if data[len(_HEAD) : _BODY_START] != content_digest(body).encode() + _TAIL:
         raise Damaged("is damaged")
     content: dict[str, Any] = json.loads(b"{" + body)
-    if (identity := content.pop("of", None)) != of:
+    identity = content.pop("of", None)
+    if identity != of:  # an intact file in a wrong place: copied, or two were swapped
         raise Damaged(f"belongs to {identity}")
     return content
 
@@ -110,6 +125,7 @@ def read_checksummed(path: Path, of: str) -> dict[str, Any] | None:
     except NoChecksum:
         return None
     except Unreadable as error:
+        # a dangling link counts as damage, not as missing
         if not os.path.lexists(path):
             return None
         raise Damaged(f"{path} {error.what}") from None

@@ -57,8 +57,10 @@ class Modules:
         top = name.partition(".")[0]
         if top == module.partition(".")[0] or top in FOLLOWED:
             return True
-        path = self.file(name) if self.folder else None
-        return bool(path and self.folder and path.is_relative_to(self.folder))
+        if self.folder is None:
+            return False
+        path = self.file(name)
+        return path is not None and path.is_relative_to(self.folder)
 
     def tree(self, path: Path) -> ast.Module:
         """Return the syntax tree of a source file, shared by all callers: do not modify it.  Raises FunctionError."""
@@ -93,19 +95,27 @@ class Modules:
         return module, path, functions[name]
 
     def _find(self, module: str) -> Path | None:
+        """The source file of a module, without importing it; None for built-in and compiled ones."""
         top, *rest = module.split(".")
         try:
             spec = importlib.util.find_spec(top)
         except (ImportError, ValueError):
             spec = None
         if spec is None or is_site_module(spec.origin or "/"):
-            return self._source_below([str(self.folder)], [top, *rest]) if self.folder else None
+            # nothing that Python finds by itself: it may be a module of the site
+            if self.folder is None:
+                return None
+            return self._source_below([str(self.folder)], [top, *rest])
         if not rest:
-            return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None
+            if spec.origin and spec.origin.endswith(".py"):
+                return Path(spec.origin)
+            return None
+        # submodules are looked for as files, since finding their specs would import the packages above them
         return self._source_below(list(spec.submodule_search_locations or ()), rest)
 
     @staticmethod
     def _source_below(roots: list[str], steps: list[str]) -> Path | None:
+        """The first source file of the module or package that lies at these steps below one of the folders."""
         for root in roots:
             stem = Path(root, *steps)
             for candidate in (stem.with_name(f"{stem.name}.py"), stem / "__init__.py"):
@@ -127,7 +137,8 @@ class Code:
     @property
     def fingerprint(self) -> str:
         """Digest of the code and of the installed versions of its libraries."""
-        return _digest("\n".join([self.digest, *(f"{name} {installed_version(name)}" for name in self.libraries)]))
+        versions = [f"{name} {installed_version(name)}" for name in self.libraries]
+        return _digest("\n".join([self.digest, *versions]))
 
 
 def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
@@ -138,16 +149,23 @@ def read_code(modules: Modules, dotted: str, table: str = "") -> Code:
     """
     first, path, function = modules.function(dotted)
     numbers = {first: 0}  # modules are numbered in the order in which they are met, so that their names do not enter
-    texts, libraries = [], set[str]()
+    texts: list[str] = []
+    libraries: set[str] = set()
     queue = [(first, path)]
-    for module, file in queue:
-        is_first = module == first
-        code = _module_code(modules, module, file, function.name, table) if is_first else modules.code(module, file)
+    for module, file in queue:  # grows while it is walked: breadth first
+        if module == first:
+            code = _module_code(modules, module, file, function.name, table)
+        else:
+            code = modules.code(module, file)
         libraries |= code.libraries
         for name in code.imports:
-            if name not in numbers and (imported := modules.file(name)) is not None:
+            if name in numbers:
+                continue
+            imported = modules.file(name)
+            if imported is not None:
                 numbers[name] = len(numbers)
                 queue.append((name, imported))
+        # a module's code, and which of the others it imports
         texts.append(f"{code.digest} {[numbers.get(name) for name in code.imports]}")
     return Code(_digest("\n".join(texts)), tuple(sorted(libraries)), tuple(file for _, file in queue))
 
@@ -169,12 +187,14 @@ def _module_code(modules: Modules, module: str, path: Path, function: str = "", 
     stripper = _CodeStripper(modules, module, path)
     stripper.strip(tree.body)
     tree.body = [node for node in tree.body if table not in assigned(node)]
+    # a function that is renamed keeps its fingerprint: its name is replaced in its definition and wherever it is used
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == function:
             node.name = "<this function>"
-    for inner in ast.walk(tree) if function else ():
-        if isinstance(inner, ast.Name) and inner.id == function:
-            inner.id = "<this function>"
+    if function:
+        for inner in ast.walk(tree):
+            if isinstance(inner, ast.Name) and inner.id == function:
+                inner.id = "<this function>"
     return _ModuleCode(_digest(ast.dump(tree)), tuple(stripper.imports), frozenset(stripper.libraries))
 
 
@@ -185,7 +205,9 @@ class _CodeStripper:
     """
 
     def __init__(self, modules: Modules, module: str, path: Path) -> None:
-        self.modules, self.module, self.path = modules, module, path
+        self.modules = modules
+        self.module = module
+        self.path = path
         self.imports: dict[str, None] = {}
         """Imported modules that enter the fingerprint, in source order."""
         self.libraries: set[str] = set()
@@ -197,18 +219,22 @@ class _CodeStripper:
             if isinstance(node, ast.Import):
                 for alias in node.names:
                     self._add_import(alias.name)
-            if not _is_text(node):
-                kept.append(self._without_origin(node) if isinstance(node, ast.ImportFrom) else node)
+            if isinstance(node, ast.ImportFrom):
+                kept.append(self._without_origin(node))
+            elif not _is_text(node):
+                kept.append(node)
             for inner in blocks(node):
                 self.strip(inner)
         block[:] = kept
 
     def _without_origin(self, node: ast.ImportFrom) -> ast.ImportFrom:
+        """Record what a `from` import names, and return it without the module's name if that is followed."""
         origin = origin_of(node, self.module, self.path)
         if not self._add_import(origin):
             return node
         for alias in node.names:
-            if self.modules.file(name := f"{origin}.{alias.name}") is not None:
+            name = f"{origin}.{alias.name}"
+            if self.modules.file(name) is not None:  # what is imported is itself a module
                 self.imports[name] = None
         return ast.ImportFrom(module="", names=node.names, level=0)
 
@@ -248,17 +274,28 @@ def _is_text(node: ast.stmt) -> bool:
 
 def assigned(node: ast.stmt) -> Iterator[str]:
     """Yield the names that a statement assigns to."""
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-    yield from (target.id for target in targets if isinstance(target, ast.Name))
+    targets: list[ast.expr] = []
+    if isinstance(node, ast.Assign):
+        targets = node.targets
+    elif isinstance(node, ast.AnnAssign):
+        targets = [node.target]
+    for target in targets:
+        if isinstance(target, ast.Name):
+            yield target.id
 
 
 def origin_of(node: ast.ImportFrom, module: str, path: Path) -> str:
     """Return the full name of the module in a `from ... import` statement."""
     if not node.level:
         return node.module or ""
-    package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
-    base = package[: len(package) - node.level + 1]
-    return ".".join([*base, node.module] if node.module else base)
+    # a package's own module counts as one level: `from . import x` in it means the package itself
+    package = module.split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
+    origin = package[: len(package) - node.level + 1]
+    if node.module:
+        origin.append(node.module)
+    return ".".join(origin)
 
 
 def _digest(text: str) -> str:

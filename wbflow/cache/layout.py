@@ -15,7 +15,9 @@ from ..task import Task
 from .atomic import UNSUPPORTED_ERRORS, clear, sync_folder
 
 _RUN_ID = "%Y%m%dT%H%M%SZ"
+"""Form of a run's id: its start, as in 20261120T031500Z."""
 _UNFINISHED = ".tmp"
+"""Suffix of files and folders that are still written; their names begin with a dot."""
 _LONGEST_ID = 64
 """A file in place of a link is read only if it has fewer bytes: it holds the id of a run."""
 
@@ -35,12 +37,13 @@ def started_by(name: str) -> datetime.datetime | None:
 
 def cloud_name(component: tuple[str, ...] = ()) -> str:
     """Return the file name of a component's cloud in a run's folder; () is the main component."""
-    return f"cloud{''.join(f'-{name}' for name in component)}.ply"
+    return "-".join(["cloud", *component]) + ".ply"
 
 
 def _folder_name(task: Task) -> str:
     """Return the folder of a task's artifacts, relative to the cache."""
-    return f"{task.stage}/{'--'.join(task.subject) or 'site'}"
+    subject = "--".join(task.subject) or "site"
+    return f"{task.stage}/{subject}"
 
 
 @dataclass(unsafe_hash=True)
@@ -117,9 +120,14 @@ class WorkFolder:
     @staticmethod
     def mirroring(url: str, site: str) -> WorkFolder:
         """Return this machine's mirror of a work folder in an object store: in WBFLOW_CACHE, else in the user's cache folder."""
-        cache_root = os.environ.get("WBFLOW_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wbflow"
-        url_digest = hashlib.sha256(url.rstrip("/").encode()).hexdigest()[:12]
-        return WorkFolder(Path(cache_root).absolute() / f"{site}-{url_digest}", url.rstrip("/"))
+        cache_root = os.environ.get("WBFLOW_CACHE")
+        if not cache_root:
+            user_cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+            cache_root = str(Path(user_cache) / "wbflow")
+        store = url.rstrip("/")
+        # sites of the same name in different stores have mirrors of their own
+        url_digest = hashlib.sha256(store.encode()).hexdigest()[:12]
+        return WorkFolder(Path(cache_root).absolute() / f"{site}-{url_digest}", store)
 
     @staticmethod
     def default_for(site_file: Path, site: str) -> WorkFolder:
@@ -150,7 +158,8 @@ class WorkFolder:
 
     def product_file(self, task: Task, key: str, name: str) -> Path:
         """Return the path of an artifact's product for the report; `name` as in `Products.product_files`."""
-        return self.artifact(task, key, ".jpg" if name == "picture" else f".{name}")
+        suffix = ".jpg" if name == "picture" else f".{name}"
+        return self.artifact(task, key, suffix)
 
     def of_key(self, task: Task, key: str) -> list[Path]:
         """Return all files of a task under a key."""
@@ -158,9 +167,10 @@ class WorkFolder:
 
     def remove_half_written(self, tasks: Iterable[Task]) -> None:
         """Remove temporary files that a dead worker left of some tasks."""
-        for leftover in (path for task in tasks for path in self.task(task).glob(f".*{_UNFINISHED}")):
-            with contextlib.suppress(OSError):
-                leftover.unlink()
+        for task in tasks:
+            for leftover in self.task(task).glob(f".*{_UNFINISHED}"):
+                with contextlib.suppress(OSError):
+                    leftover.unlink()
 
     def receipt_of(self, artifact: Path) -> Path:
         """Return the path of the receipt of an artifact file."""
@@ -172,7 +182,9 @@ class WorkFolder:
 
     def receipts(self, task: Task | None = None) -> list[Path]:
         """Return the receipts of a task, or of all tasks, sorted by name."""
-        return sorted(self.task(task).glob("*.json") if task else self.cache.glob("*/*/*.json"))
+        if task:
+            return sorted(self.task(task).glob("*.json"))
+        return sorted(self.cache.glob("*/*/*.json"))
 
     def cache_files(self) -> Iterator[Path]:
         """Yield every file of every task, whatever its key."""
@@ -197,8 +209,13 @@ class WorkFolder:
     def run_ids(self) -> list[str]:
         """Return the ids of all published runs, oldest first."""
         links = {self.latest.name, self.latest_good.name}  # in a copy of the work folder they can be folders
-        names = [path.name for path in self.runs.glob("*") if path.name not in links and not path.is_symlink()]
-        return sorted(name for name in names if not name.startswith(".") and self.run(name).record.is_file())
+        ids = []
+        for path in self.runs.glob("*"):
+            if path.name in links or path.is_symlink() or path.name.startswith("."):
+                continue
+            if self.run(path.name).record.is_file():
+                ids.append(path.name)
+        return sorted(ids)
 
     def folds_case(self) -> bool:
         """Does the file system take names that differ in case alone as one name?  The caller holds the lock."""
@@ -217,8 +234,11 @@ class WorkFolder:
             name = link.readlink().name
         elif link.is_file() and link.stat().st_size < _LONGEST_ID:
             text = link.read_text(errors="replace").strip()
-            name = text if started_by(text) else None
-        return name if name and self.run(name).record.is_file() else None
+            if started_by(text):
+                name = text
+        if name and self.run(name).record.is_file():
+            return name
+        return None
 
     def point_link(self, link: Path, run: str) -> None:
         """Point a link such as `latest` to a run with one rename, so that a reader sees either the old run or the new one.
@@ -231,8 +251,8 @@ class WorkFolder:
         clear(new_link)
         if link.is_dir() and not link.is_symlink():
             self.quarantine.mkdir(parents=True, exist_ok=True)
-            places = (self.quarantine / f"{link.name}-{number}" for number in itertools.count(1))
-            link.rename(next(place for place in places if not place.exists()))
+            link.rename(self._free_in_quarantine(link.name))
+        # a link cannot be changed in place: a new one is made beside it, and takes its name
         try:
             new_link.symlink_to(run)
         except OSError as error:
@@ -241,6 +261,14 @@ class WorkFolder:
             new_link.write_text(f"{run}\n")
         new_link.replace(link)
         sync_folder(self.runs)
+
+    def _free_in_quarantine(self, name: str) -> Path:
+        """A path in the quarantine that is not in use yet."""
+        for number in itertools.count(1):
+            place = self.quarantine / f"{name}-{number}"
+            if not place.exists():
+                break
+        return place
 
     def ledger_files(self) -> list[Path]:
         """Return the paths of the ledger and of SQLite's auxiliary files."""
@@ -252,10 +280,16 @@ class WorkFolder:
         Returns whether the previous writer was killed or failed.
         """
         killed = self._writing_mark.exists()
-        pattern = f".*{_UNFINISHED}"
-        if killed:
-            leftovers = [*self.cache.rglob(pattern), *self.reference.rglob(pattern), *self.root.glob(pattern)]
-            for path in [*leftovers, *self.runs.glob(pattern), *self.runs.glob(f"*/{pattern}")]:
+        if killed:  # otherwise there is nothing to look for in a cache of many thousand files
+            pattern = f".*{_UNFINISHED}"
+            leftovers = [
+                *self.cache.rglob(pattern),
+                *self.reference.rglob(pattern),
+                *self.root.glob(pattern),
+                *self.runs.glob(pattern),
+                *self.runs.glob(f"*/{pattern}"),
+            ]
+            for path in leftovers:
                 clear(path)  # never through a link: its target is a published run
         self._writing_mark.parent.mkdir(parents=True, exist_ok=True)
         self._writing_mark.touch()

@@ -32,19 +32,23 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
         since = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         with contextlib.suppress(OSError):  # on a full disk the lock is held, but its file stays empty
             file.truncate(0)
-            os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": os.uname().nodename, "since": since}).encode())
+            holder = {"pid": os.getpid(), "host": os.uname().nodename, "since": since}
+            os.write(file.fileno(), json.dumps(holder).encode())
         try:
             yield
         finally:
-            file.truncate(0)
+            file.truncate(0)  # the file stays: if it were removed, two processes could hold two files of this name
 
 
 def _open_locked(path: Path, wait: bool) -> IO[str]:
     """Open and lock the file.  Anything else at its path (a folder, a dangling link, a pipe) is removed, unless it is locked."""
     while True:
+        # 1. Open it without blocking, whatever it is by now: a pipe would otherwise wait for a writer.
         if path.is_dir() or (path.is_symlink() and not path.exists()):
             clear(path)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
+
+        # 2. Lock it, now or after the holder has ended.
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -54,10 +58,12 @@ def _open_locked(path: Path, wait: bool) -> IO[str]:
                 raise Locked(what, remedy="wait for it (--wait), or stop it") from None
             time.sleep(0.2)
             continue
+
+        # 3. Is what is locked still what lies at the path?  If it was replaced meanwhile, another process may hold the new file.
         status = os.fstat(descriptor)
         with contextlib.suppress(FileNotFoundError):
             current = path.stat()
-            if (current.st_dev, current.st_ino) == (status.st_dev, status.st_ino):  # the file was not replaced meanwhile
+            if (current.st_dev, current.st_ino) == (status.st_dev, status.st_ino):
                 if stat.S_ISREG(status.st_mode):
                     return os.fdopen(descriptor, "r+")
                 clear(path)
@@ -65,6 +71,7 @@ def _open_locked(path: Path, wait: bool) -> IO[str]:
 
 
 def _holder(path: Path) -> str:
+    """Who holds the lock, in words."""
     try:
         holder = json.loads(read_untrusted(path))
         return f"process {holder['pid']} on {holder['host']} since {holder['since']}"

@@ -35,15 +35,17 @@ class Memo:
 
     def __init__(self, path: Path | None, of: str, cost: str) -> None:
         """path: None keeps nothing.  cost: in words, the consequence of a damaged file."""
-        self._path, self._of = path, of
+        self._path = path
+        self._of = of
         self.damage: str | None = None
         """What was wrong with the file, in words; None if it was intact."""
         self.entries: dict[str, Any] = {}
-        try:
-            self.entries = (read_checksummed(path, of) if path else None) or {}
-        except Damaged as damage:
-            self.damage = f"{damage.what}: {cost}"
-        self._changed = self.damage is not None
+        if path:
+            try:
+                self.entries = read_checksummed(path, of) or {}
+            except Damaged as damage:
+                self.damage = f"{damage.what}: {cost}"
+        self._changed = self.damage is not None  # a damaged file is written again
 
     def save(self) -> None:
         """Write the file, if anything has changed.  Raises OSError."""
@@ -62,9 +64,11 @@ class Digests(Memo):
 
     def of(self, path: Path) -> str:
         """Return the content digest of a file.  Raises OSError."""
-        name, status = str(path), path.stat()
+        name = str(path)
+        status = path.stat()
         self._used[name] = None
-        stamp, known_entry = _stamp(status), self._files.get(name)
+        stamp = _stamp(status)
+        known_entry = self._files.get(name)  # the stamp of the file when it was read, and its digest
         is_stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
         if known_entry and known_entry[:-1] == stamp and is_stable:
             return str(known_entry[-1])
@@ -79,9 +83,11 @@ class Digests(Memo):
         self._changed |= self._files.pop(str(path), None) is not None
 
     def save(self) -> None:
-        unused = [name for name in self._files if name not in self._used][-_FORMER:]
-        kept_names = [*unused, *(name for name in self._used if name in self._files)]
-        self._files = self.entries["files"] = {name: self._files[name] for name in kept_names}
+        # files of this run last: the oldest are at the front, and are dropped first
+        unused = [name for name in self._files if name not in self._used]
+        used = [name for name in self._used if name in self._files]
+        self._files = {name: self._files[name] for name in [*unused[-_FORMER:], *used]}
+        self.entries["files"] = self._files
         super().save()
 
 
@@ -108,8 +114,11 @@ class EarlierCaptures(Memo):
 
     def last_delivered(self, camera: str, night: str) -> dict[str, str]:
         """Return, for each digest that a camera delivered before `night`, the newest such night."""
-        earlier = sorted((date, digests) for date, digests in self._cameras.get(camera, {}).items() if date < night)
-        return {digest: date for date, digests in earlier for digest in digests}
+        newest: dict[str, str] = {}
+        for date, digests in sorted(self._cameras.get(camera, {}).items()):
+            if date < night:
+                newest |= dict.fromkeys(digests, date)  # later nights replace earlier ones
+        return newest
 
     def note(self, camera: str, night: str, digests: Iterable[str]) -> None:
         """Remember what a camera delivered in a night.  If the night is run again, the new digests replace the old ones."""

@@ -75,15 +75,20 @@ class Cache:
         if known and known.is_unchanged():
             return known.receipt
         path = self.work.receipt(task, key)
-        stamp, receipt = file_stamp(path), self._receipt(task, path)
+        stamp = file_stamp(path)  # before it is read: a later change shows as another stamp
+        receipt = self._receipt(task, path)
         if receipt and stamp:
             self._known[task, key] = _Known(path, stamp, receipt, self.path(receipt) if receipt.file else None)
         return receipt
 
     def newest(self, task: Task) -> Receipt | None:
         """Return the most recent receipt of a task, whatever its key."""
-        receipts = [receipt for path in self.work.receipts(task) if (receipt := self._receipt(task, path))]
-        return max(receipts, key=lambda receipt: receipt.finished, default=None)
+        newest: Receipt | None = None
+        for path in self.work.receipts(task):
+            receipt = self._receipt(task, path)
+            if receipt is not None and (newest is None or receipt.finished > newest.finished):
+                newest = receipt
+        return newest
 
     def receipts(self) -> Iterator[Receipt]:
         """Yield every intact receipt."""
@@ -139,6 +144,7 @@ class Cache:
     def write(self, receipt: Receipt, data: bytes | bytearray | None, product_files: Mapping[str, bytes] | None = None) -> None:
         """Write an artifact and its product files, and the receipt last.  Raises OSError."""
         task = receipt.preimage.task
+        # a process that dies between these writes leaves files without a receipt, which do not count
         for name, product in (product_files or {}).items():
             write_atomic(self.work.product_file(task, receipt.key, name), product, durable=False, own_path=True)
         if data is not None:
@@ -149,7 +155,8 @@ class Cache:
     def _receipt(self, task: Task | None, path: Path) -> Receipt | None:
         """Return a receipt; None if it is missing or damaged.  Damage is noted, and the task runs again."""
         try:
-            if (fields := read_checksummed(path, self.work.identity_of(path))) is None:
+            fields = read_checksummed(path, self.work.identity_of(path))
+            if fields is None:
                 return None
             preimage = fields["preimage"]
             preimage["subject"] = tuple(preimage["subject"])

@@ -98,7 +98,10 @@ def find_untrusted(pattern: str) -> Iterator[str]:
     .jpg), and each folder is visited only once, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` entries.
     """
     parts = Path(pattern).parts
-    yield from _Search().below(parts[0], parts[1:]) if Path(pattern).is_absolute() else _Search().below("", parts)
+    if Path(pattern).is_absolute():
+        yield from _Search().below(parts[0], parts[1:])
+    else:
+        yield from _Search().below("", parts)
 
 
 class _Search:
@@ -113,12 +116,20 @@ class _Search:
             if os.path.lexists(folder):
                 yield folder
             return
-        first, rest = parts[0], parts[1:]
+        first = parts[0]
+        rest = parts[1:]
         if first == "**":
+            # any number of folders, none included: the rest is looked for in each
             for inner, files in self._folders(folder):
-                yield from self.below(inner, rest) if rest else (inner, *files)
+                if rest:
+                    yield from self.below(inner, rest)
+                else:
+                    yield inner
+                    yield from files
         elif not any(wildcard in first for wildcard in "*?["):
-            for name in [first] if rest else _in_any_case(folder, first):
+            # a plain name need not be looked up in a listing; only that of a file may differ in case
+            names = [first] if rest else _in_any_case(folder, first)
+            for name in names:
                 yield from self.below(os.path.join(folder, name), rest)  # noqa: PTH118  (names need not be valid text)
         else:
             matches = _matcher(first, is_last=not rest)
@@ -130,10 +141,12 @@ class _Search:
 
     def _folders(self, top: str) -> Iterator[tuple[str, list[str]]]:
         """Yield a folder and all folders below it, each once, and the files in each.  Symbolic links are followed last."""
-        seen: set[tuple[int, int]] = set()
-        queues = [[top], []]
-        while queues[0] or queues[1]:
-            folder = (queues[0] or queues[1]).pop(0)
+        seen: set[tuple[int, int]] = set()  # device and inode, which links cannot hide
+        # links wait: a folder is found under its own path if it has one here, and under a link only otherwise
+        folders = [top]
+        linked: list[str] = []
+        while folders or linked:
+            folder = (folders or linked).pop(0)
             try:
                 status = os.stat(folder or ".")  # noqa: PTH116
             except OSError:
@@ -146,12 +159,13 @@ class _Search:
                 if is_nobodys(entry.name):
                     continue
                 if _is_dir(entry):
-                    queues[entry.is_symlink()].append(entry.path)
+                    (linked if entry.is_symlink() else folders).append(entry.path)
                 else:
                     files.append(entry.path)
             yield folder, files
 
     def _entries(self, folder: str) -> list[os.DirEntry[str]]:
+        """Entries of a folder by name, none if it cannot be read.  Raises Unreadable beyond `MOST_ENTRIES` in all."""
         try:
             with os.scandir(folder or ".") as iterator:
                 entries = sorted(iterator, key=lambda entry: entry.name)
@@ -168,8 +182,9 @@ def _matcher(part: str, is_last: bool) -> Callable[[str], object]:
     """A function that says whether a name matches one part of a pattern; the case of a file's suffix does not matter."""
     stem, dot, suffix = part.rpartition(".")
     if is_last and dot and suffix.isalnum():
-        letters = "".join(f"[{letter.lower()}{letter.upper()}]" if letter.isalpha() else letter for letter in suffix)
-        part = f"{stem}.{letters}"
+        # jpg becomes [jJ][pP][gG]: only the suffix ignores case
+        either_case = [f"[{letter.lower()}{letter.upper()}]" if letter.isalpha() else letter for letter in suffix]
+        part = f"{stem}.{''.join(either_case)}"
     return re.compile(fnmatch.translate(part)).match
 
 
@@ -193,6 +208,7 @@ def _in_any_case(folder: str, name: str) -> list[str]:
 
 
 def _is_dir(entry: os.DirEntry[str]) -> bool:
+    """Is it a folder, or a link to one?  A link that leads nowhere or in a circle is not."""
     try:
         return entry.is_dir()
     except OSError:
@@ -200,6 +216,7 @@ def _is_dir(entry: os.DirEntry[str]) -> bool:
 
 
 def _check_file(status: os.stat_result, most_bytes: int) -> None:
+    """Raise Unreadable for what is not a regular file, and for one that is too large."""
     if not stat.S_ISREG(status.st_mode):
         raise Unreadable(f"is {_KINDS.get(stat.S_IFMT(status.st_mode), 'no file')}, not a file")
     if status.st_size > most_bytes:

@@ -18,8 +18,12 @@ _DISTRIBUTIONS = {
 
 def installed_versions() -> dict[str, str]:
     """Return the versions of Python and of the installed `LIBRARIES`, by name."""
-    versions = {name: installed_version(name) for name in LIBRARIES}
-    return {"python": platform.python_version(), **{name: version for name, version in versions.items() if version != "absent"}}
+    versions = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        version = installed_version(name)
+        if version != "absent":
+            versions[name] = version
+    return versions
 
 
 @functools.cache
@@ -32,8 +36,10 @@ def installed_version(library: str) -> str:
             return _major_minor(metadata.version(distribution))
         except metadata.PackageNotFoundError:
             continue
+    # several distributions can share an import name, such as a namespace package: all enter
     distributions = sorted(set(_provided().get(library, ())))
-    return " ".join(f"{name} {_major_minor(metadata.version(name))}" for name in distributions) or "absent"
+    versions = [f"{name} {_major_minor(metadata.version(name))}" for name in distributions]
+    return " ".join(versions) or "absent"
 
 
 @functools.cache
