@@ -126,7 +126,7 @@ class PosedCameras:
         self.poses: dict[str, Mapping[str, Any]] = {}
         """Cameras by id, in the format of `cameras.json`."""
         for camera in site.cameras:
-            if camera.given and camera.lens.width and camera.lens.height:
+            if camera.stated and camera.lens.width and camera.lens.height:
                 self.poses[camera.id] = {**vars(camera.lens), **vars(camera.placement)}
         self.ground = 0.0
         """The height (z) at which zones are drawn at first."""
@@ -144,7 +144,7 @@ class PosedCameras:
         # The poses of a run are in the world of the site file only if something there determines that world.
         placed_count = sum(camera.placement.C is not None for camera in site.cameras)
         is_fixed = max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
-        is_tied = site.has_given_poses or bool(site.survey.crs) or is_fixed
+        is_tied = site.has_stated_poses or bool(site.survey.crs) or is_fixed
         self._in_stated_frame = is_tied and all(entry.get("metric", True) for entry in self.poses.values())
         """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
         self.upright = bool(self.poses) and all(entry["R"][1][2] < -0.5 for entry in self.poses.values())

@@ -321,7 +321,7 @@ STAGES: tuple[Stage, ...] = (
         inputs={
             "views": _VIEWS,
             "placements": site("placement", of="every"),
-            "geometries": every("geometry", optional=lambda site: site.has_given_poses),
+            "geometries": every("geometry", optional=lambda site: site.has_stated_poses),
             "survey": site("survey"),
             "frames_if_rough": every("frames", needed_if=lambda site: site.has_rough_pose),
         },
@@ -400,7 +400,7 @@ STAGES: tuple[Stage, ...] = (
         scope="site",
         function="wbflow_stages.calibration:check_calibration",
         inputs={"poses": own("poses"), "disparities": every("disparity", optional=True)},
-        optional=lambda site: site.has_given_poses,
+        optional=lambda site: site.has_stated_poses,
         reuse=Reuse(stored=False),
         summary=CalibrationCheck,
     ),

@@ -452,10 +452,10 @@ class Camera:
     @property
     def posed(self) -> bool:
         """Are intrinsics and the whole pose stated, including the rotation's standard deviation if the position has one?"""
-        return self.given and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
+        return self.stated and (not self.placement.sigma_m or self.placement.sigma_deg > 0)
 
     @property
-    def given(self) -> bool:
+    def stated(self) -> bool:
         """Are intrinsics and pose both stated, exactly or not?"""
         return self.lens.K is not None and self.placement.R is not None and self.placement.C is not None
 
@@ -533,9 +533,9 @@ class Site:
     @property
     def has_rough_pose(self) -> bool:
         """Is the whole pose of some camera stated with standard deviations?"""
-        return any(camera.given and camera.placement.sigma_deg > 0 for camera in self.cameras)
+        return any(camera.stated and camera.placement.sigma_deg > 0 for camera in self.cameras)
 
     @property
-    def has_given_poses(self) -> bool:
+    def has_stated_poses(self) -> bool:
         """Are the intrinsics and poses of two cameras or more stated, exactly or not?"""
-        return sum(camera.given for camera in self.cameras) > 1
+        return sum(camera.stated for camera in self.cameras) > 1
