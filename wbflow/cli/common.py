@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 import os
 import re
+import shutil
 import sys
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -19,6 +21,11 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 100_000_000
 """Most characters that are printed at once; it must hold a whole run.json."""
+
+LEAST_COLUMNS = 80
+"""Narrower terminals wrap lines themselves."""
+LEVEL_COLOURS = {"good": "green", "degraded": "yellow", "failed": "red"}
+"""Colours of the levels of verdicts on a terminal."""
 
 Day = datetime.date | int
 """A date, or an offset in days from today, which is resolved later because today depends on the site's time zone."""
@@ -99,13 +106,56 @@ def load(path: Path, work: str | None, for_run: bool = False) -> Site:
     return site
 
 
-def echo(text: object, err: bool = False) -> None:
+def columns(err: bool = False) -> int:
+    """Return how many columns lines may have: those of the terminal, at least 80; in a pipe or a file, any number.
+
+    err: of stderr instead of stdout.  The environment variable COLUMNS replaces the terminal's number.
+    """
+    stream = sys.stderr if err else sys.stdout
+    if not stream.isatty() and "COLUMNS" not in os.environ:
+        return LONGEST_TEXT
+    return max(LEAST_COLUMNS, shutil.get_terminal_size().columns)
+
+
+def fitted(line: str, most: int) -> str:
+    """Return a line with at most this many characters; the end of a longer one is left out."""
+    return line if len(line) <= most else f"{line[: most - 3].rstrip()}..."
+
+
+def echo(text: object, err: bool = False, *, level: str = "", indent: int | None = None, fold: bool = False) -> None:
     """Print text with its control characters escaped.
 
     If the reader has closed the pipe (`wbflow run ... | head -1`), further output is dropped and the run continues.
+
+    Parameters
+    ----------
+    text, err : object, bool
+        The text; whether it goes to stderr.
+    level : str
+        Level of a verdict, in whose colour a terminal shows the text; "" for none.
+    indent : int, optional
+        Wrap a line that is longer than the terminal; the lines after the first have so many spaces before them.
+    fold : bool
+        Leave out the end of a line that is longer than the terminal.
     """
+    shown = printable(text, LONGEST_TEXT)
+    if fold:
+        shown = fitted(shown, columns(err))
+    if indent is not None:
+        own_indent = " " * (len(shown) - len(shown.lstrip(" ")))
+        lines = textwrap.wrap(
+            shown.strip(),
+            columns(err),
+            initial_indent=own_indent,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        shown = "\n".join(lines)
+    if level in LEVEL_COLOURS and "NO_COLOR" not in os.environ:
+        shown = click.style(shown, fg=LEVEL_COLOURS[level])
     try:
-        click.echo(printable(text, LONGEST_TEXT), err=err)
+        click.echo(shown, err=err)
     except BrokenPipeError:
         with Path(os.devnull).open("w") as null_file:
             os.dup2(null_file.fileno(), (sys.stderr if err else sys.stdout).fileno())

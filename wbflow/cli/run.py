@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import datetime
 import json
-import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,22 +19,12 @@ from .common import Day, date_at, day, echo, echo_json, load
 from .display import display
 
 if TYPE_CHECKING:
-    from ..api import Run
     from ..capture.take import Delivery
     from ..commands.status import Status
-    from ..records.findings import Finding
     from ..records.record import RunRecord
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
-LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
-"""Printed text of each verdict level."""
-MOST_FINDINGS = 20
-"""Largest number of findings that are printed; the report has all."""
-MOST_ALIKE = 4
-"""Largest number of findings of one kind with the same remedy that are printed in full; larger groups are summarized."""
-DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
-"""Failure codes after which `wbflow debug` is suggested."""
 
 
 @click.command()
@@ -95,11 +82,13 @@ def run(
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
     from .. import api
+    from .ended import next_step, print_night, print_table
 
     quiet = quiet or as_json
     several = since is not None or len(sites) > 1
     stop_at = options["stop_at"]
-    records: list[Any] = []
+    records: list[RunRecord] = []
+    documents: list[Any] = []
 
     def run_site(path: Path) -> int:
         site = load(path, work, for_run=not dry_run)
@@ -119,18 +108,23 @@ def run(
             with display(site.name, verbose, quiet) as progress:
                 finished = api.run(site, date=night, not_captured=not_captured, listen=progress.receive, **options)
             exit_codes.append(finished.record.exit_code)
+            records.append(finished.record)
             if as_json:
-                records.append(json.loads(finished.run_folder.paths.record.read_bytes()))
-            _print_run(finished, several, quiet)
+                documents.append(json.loads(finished.run_folder.paths.record.read_bytes()))
+            print_night(finished, quiet)
             if finished.record.exit_code == ExitCode.INTERRUPTED:
                 break
         if not quiet:
-            echo(f"next    {_next_command(finished, path)}")
+            following = next_step(finished, path)
+            is_command = following.startswith("wbflow ")  # a command is copied: it stays on one line
+            echo(f"next    {following}", indent=None if is_command else 8)
         return worst(exit_codes)
 
     code = _for_each(sites, run_site)
     if as_json and not dry_run:
-        echo_json(records if several else records[0])
+        echo_json(documents if several else documents[0])
+    if len(records) > 1 and not quiet:
+        print_table(records)
     sys.exit(code)
 
 
@@ -162,75 +156,6 @@ def _for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
         if exit_codes[-1] == ExitCode.INTERRUPTED:
             break
     return worst(exit_codes)
-
-
-def _print_run(finished: Run, several: bool, quiet: bool) -> None:
-    from ..records.record import STATE_SCALE
-
-    record, paths = finished.record, finished.run_folder.paths
-    if not quiet:
-        if several:
-            echo(f"{record.site}, night {record.date}, run {record.run}:")
-        if record.verdict and record.verdict.good and not record.verdict.findings:
-            echo(_verdict_line(record))
-        tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
-        echo(f"{tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
-        if record.cloud:
-            echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
-        echo(f"report  {paths.report}")
-        if record.unscaled:
-            echo(f"scale   unknown: {STATE_SCALE}")
-    if record.exit_code or not quiet:
-        print_findings(record)
-
-
-def print_findings(record: RunRecord) -> None:
-    """Print the findings and their remedies on stderr, so that cron mails them."""
-    verdict = record.verdict
-    if verdict is None or (verdict.good and not verdict.findings):
-        return
-    echo(_verdict_line(record), err=True)
-    texts = list(_finding_texts(verdict.findings))
-    for remedy, with_this_remedy in groupby(texts[:MOST_FINDINGS], key=itemgetter(1)):
-        for text, _ in with_this_remedy:
-            echo(f"  {text}", err=True)
-        if remedy:
-            echo(f"    {remedy}", err=True)
-    if (omitted := len(texts) - MOST_FINDINGS) > 0:
-        echo(f"  and {omitted} more: the report has them", err=True)
-
-
-def _verdict_line(record: RunRecord) -> str:
-    """Return the line that says how the night was, and whether lengths in its cloud are metres."""
-    from ..records.record import NO_SCALE
-
-    verdict = LEVELS[record.verdict.level] if record.verdict else "no verdict"
-    scale = f"; {NO_SCALE}" if record.unscaled else ""
-    return f"{record.site}, night of {record.date}: {verdict}{scale}"
-
-
-def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:
-    """Yield text and remedy of each finding; for a large group of the same kind, the first ones and the subjects of the rest."""
-    for _, similar in groupby(findings, key=lambda finding: (finding.kind, finding.remedy)):
-        group = list(similar)
-        is_short = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
-        in_full = group if is_short else group[: MOST_ALIKE - 1]
-        yield from ((str(finding), finding.remedy) for finding in in_full)
-        if rest := group[len(in_full) :]:
-            yield f"and {len(rest)} more like these: {', '.join(finding.about for finding in rest)}", group[-1].remedy
-
-
-def _next_command(finished: Run, site: Path) -> str:
-    """Return the command to suggest after a run."""
-    record, file = finished.record, shlex.quote(str(site))
-    if record.exit_code == ExitCode.INTERRUPTED:
-        return f"wbflow run {file}"
-    for task, event in finished.task_events.items():
-        if event.outcome == "failed" and event.code in DEBUGGABLE:
-            return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
-    if record.exit_code:
-        return f"wbflow check {file}"
-    return f"wbflow compare {file}" if len(finished.cache.work.run_ids()) > 1 else f"wbflow export {file} --mesh --out mesh"
 
 
 @click.command()

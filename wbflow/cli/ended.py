@@ -1,0 +1,136 @@
+"""What `wbflow run` prints about nights that have ended: verdict, findings and what follows from them, files, what to do next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import ExitCode
+from ..records.record import NO_SCALE, STATE_SCALE
+from ..verdict.consequences import consequences
+from .common import echo
+
+if TYPE_CHECKING:
+    from ..records.findings import Finding
+    from ..records.finished_run import Run
+    from ..records.record import RunRecord
+
+LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
+"""Printed text of each verdict level."""
+MOST_FINDINGS = 20
+"""Largest number of findings that are printed; the report has all."""
+MOST_ALIKE = 4
+"""Largest number of findings of one kind with the same remedy that are printed in full; larger groups are summarized."""
+DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
+"""Failure codes after which `wbflow debug` is suggested."""
+
+
+def print_night(finished: Run, quiet: bool) -> None:
+    """Print a night: its verdict first.
+
+    Everything goes to stdout.  With `quiet`, only the verdict and the findings of a night whose exit code is not 0 are printed,
+    on stderr: cron mails them, and stdout stays empty for programs.
+    """
+    record = finished.record
+    if quiet:
+        if record.exit_code:
+            print_findings(record, err=True)
+        return
+    print_findings(record, err=False)
+    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
+    paths = finished.run_folder.paths
+    echo(f"tasks   {tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
+    if record.cloud:
+        echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
+    echo(f"report  {paths.report}")
+    if record.unscaled:
+        echo(f"scale   unknown: {STATE_SCALE}", indent=8)
+
+
+def print_findings(record: RunRecord, err: bool) -> None:
+    """Print the verdict, then the findings with their remedies; those that follow from others are one paragraph under these.
+
+    err: on stderr.
+    """
+    verdict = record.verdict
+    if verdict is None:
+        return
+    scale = f"; {NO_SCALE}" if record.unscaled else ""
+    echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}{scale}", err=err, level=verdict.level)
+    following = consequences(record)
+    others = [finding for finding in verdict.findings if finding not in following]
+    left_out = {camera.id for camera in record.cameras if not camera.ok}
+    cause_count = 0  # of the findings up to the last one about a camera that is left out
+    for number, finding in enumerate(others, 1):
+        if following and left_out.intersection(finding.subject):
+            cause_count = number
+    _print_findings(others[:cause_count], err)
+    if following:
+        echo(f"  which leaves {'; '.join(finding.text for finding in following)}", err=err, indent=6)
+    _print_findings(others[cause_count:], err)
+
+
+def _print_findings(findings: Sequence[Finding], err: bool) -> None:
+    texts = list(_finding_texts(findings))
+    for remedy, with_this_remedy in groupby(texts[:MOST_FINDINGS], key=itemgetter(1)):
+        for text, _ in with_this_remedy:
+            echo(f"  {text}", err=err, indent=6)
+        if remedy:
+            echo(f"    {remedy}", err=err, indent=4)
+    omitted = len(texts) - MOST_FINDINGS
+    if omitted > 0:
+        echo(f"  and {omitted} more: the report has them", err=err)
+
+
+def print_table(records: Sequence[RunRecord]) -> None:
+    """Print several nights, one to a line."""
+    echo("")
+    width = max(len(record.site) for record in records)
+    echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding")
+    for record in records:
+        level = record.verdict.level if record.verdict else "failed"
+        findings = record.verdict.findings if record.verdict else ()
+        points = f"{record.cloud.points:,}" if record.cloud else "-"
+        line = f"{record.site:{width}}  {record.date:10}  {level:8}  {points:>11}  {findings[0] if findings else ''}"
+        echo(line.rstrip(), level=level, fold=True)
+
+
+def next_step(finished: Run, site: Path) -> str:
+    """Return what to do after a run: the remedy of its first finding that has one, or a command.
+
+    site: the site file as the user named it.
+    """
+    record = finished.record
+    file = shlex.quote(str(site))
+    if record.exit_code == ExitCode.INTERRUPTED:
+        return f"wbflow run {file}"
+    for task, event in finished.task_events.items():
+        if event.outcome == "failed" and event.code in DEBUGGABLE:
+            return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
+    if record.exit_code and record.verdict:
+        for finding in record.verdict.findings:
+            if finding.remedy:
+                about = f"{finding.about}: " if finding.subject else ""
+                return about + finding.remedy.replace("SITE.yaml", file)
+    if record.exit_code:
+        return f"look at the report, or: wbflow check {file}"
+    if len(finished.cache.work.run_ids()) > 1:
+        return f"wbflow compare {file}"
+    return f"wbflow export {file} --mesh --out mesh"
+
+
+def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:
+    """Yield text and remedy of each finding; for a large group of the same kind, the first ones and the subjects of the rest."""
+    for _, similar in groupby(findings, key=lambda finding: (finding.kind, finding.remedy)):
+        group = list(similar)
+        is_short = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
+        in_full = group if is_short else group[: MOST_ALIKE - 1]
+        for finding in in_full:
+            yield str(finding), finding.remedy
+        rest = group[len(in_full) :]
+        if rest:
+            yield f"and {len(rest)} more like these: {', '.join(finding.about for finding in rest)}", group[-1].remedy
