@@ -11,8 +11,8 @@ Recognition 2014 (both as implemented in OpenCV); Kannala & Brandt, PAMI 2006, s
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,14 +25,39 @@ from .core.least_squares import levenberg_marquardt
 from .core.lenses import PROJECTIONS, lens_rays, usable_angle
 from .types import Capture, Float32s, Float64s, Lens, Uint8s
 
-_LEAST_PICTURES, _LEAST_CORNERS = 5, 8
-_VIDEO_STEP, _MOST_PER_VIDEO = 15, 60
+_LEAST_PICTURES = 5
+"""Fewest pictures with the board from which a lens is fitted."""
+_LEAST_CORNERS = 8
+"""Fewest corners of a ChArUco board in a picture that is used."""
+_VIDEO_STEP = 3
+"""Step in frames between the pictures taken from a video; longer where there would be more than `_MOST_PER_VIDEO`."""
+_MOST_PER_VIDEO = 60
+"""Most pictures taken from a video."""
+_SAMPLE = 12
+"""Number of pictures, spread over all, that tell how the board is printed."""
+_FEW = 6
+"""Number of pictures of the sample, at least, in which other ways to print the board are looked for."""
 _CELLS = (8, 6)
 """Columns and rows of the grid of cells over the picture in which corners are counted."""
-_GOOD_PX, _BAD_PX = 0.3, 1.0
+_GOOD_PX = 0.3
+_BAD_PX = 1.0
 """Residuals in pixels: up to the first a corner is drawn green, from the second on red."""
 _WARNING_PX = 1.0
 """RMS residual in pixels above which the report warns: the lens is of another model, or the board is not flat."""
+_LEAST_COVERED = 0.4
+"""Share of the cells with corners below which the report warns."""
+_PLANE_SHARE = 0.02
+"""Corners that lie on a plane, up to this share of their extent (lenses bend planes a little), belong together."""
+DICTIONARIES = (
+    *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "ARUCO_ORIGINAL",
+    "ARUCO_MIP_36h12",
+    "APRILTAG_16h5",
+    "APRILTAG_25h9",
+    "APRILTAG_36h10",
+    "APRILTAG_36h11",
+)
+"""OpenCV's dictionaries of markers, without their prefix `DICT_`.  Each of 50, 100 or 250 is the beginning of that of 1000."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +73,10 @@ class Board:
     """Edge of a ChArUco marker, in the same unit; 0: a plain checkerboard."""
     dictionary: str = "4X4_50"
     """OpenCV's dictionary of the markers, without the prefix `DICT_`."""
+    is_inverted: bool = False
+    """Are the markers white on black?"""
+    is_legacy: bool = False
+    """Does a board with an even number of rows begin with a marker, as OpenCV drew it before 4.6, instead of a black square?"""
 
 
 @dataclass(frozen=True)
@@ -66,7 +95,9 @@ def board_files(
 ) -> tuple[dict[str, bytes], list[str]]:
     """A calibration file and a plot of its coverage, by file name, and messages for the operator.
 
-    Raises ValueError if the board is found in too few pictures, or if they do not determine the lens.
+    The board may be printed in another way than stated (inverted, in the layout of another version of OpenCV, with markers of
+    another dictionary, counted by corners instead of squares): what is found in most pictures is used, and said.  Raises
+    ValueError if the board is found in too few pictures, or if they do not determine the lens.
 
     Parameters
     ----------
@@ -75,25 +106,29 @@ def board_files(
     board : fields of `Board` by name.
     model : "brown" or "rational" (fitted by OpenCV), or a key of `STARTS`.
     """
-    spec, views, size, notes = Board(**board), [], (0, 0), []  # type: ignore[arg-type]
-    for name, data in pictures_of_it.items():
-        try:
-            pictures = list(all_pictures(Capture(name, np.frombuffer(data, np.uint8)), _VIDEO_STEP, _MOST_PER_VIDEO))
-        except BadCapture as error:
-            notes.append(str(error))
+    stated = Board(**board)  # type: ignore[arg-type]
+    if stated.dictionary not in DICTIONARIES:
+        raise ValueError(f"there is no dictionary {stated.dictionary!r}; there are {', '.join(DICTIONARIES)}")
+    printed = _printed(stated, _sample(pictures_of_it))
+    notes = _differences(stated, printed)
+    views: list[_BoardView] = []
+    size = (0, 0)
+    for name, grey in _grey_pictures(pictures_of_it, notes):
+        height, width = grey.shape
+        if size not in {(0, 0), (width, height)}:
+            notes.append(f"{name} is not the same size as the first picture")
             continue
-        for picture_name, image in pictures:
-            if size not in {(0, 0), (image.shape[1], image.shape[0])}:
-                notes.append(f"{picture_name} is not the same size as the first picture")
-                continue
-            size = image.shape[1], image.shape[0]
-            view = _detect_corners(picture_name, np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8), spec)
-            views += [view] if view else []
-            notes += [] if view else [f"{picture_name}: no board is found"]
+        size = width, height
+        view = _detect_corners(name, grey, printed)
+        if view is None:
+            notes.append(f"{name}: no board is found")
+        else:
+            views.append(view)
     if len(views) < _LEAST_PICTURES:
         raise ValueError(f"the board is seen in {len(views)} pictures, {_LEAST_PICTURES} are needed: are columns and rows right?")
     K, distortion, residuals = _fit(views, size, model)
-    rms = [float(np.sqrt((r**2).sum(axis=1).mean())) for r in residuals]
+    squares = [(r**2).sum(axis=1) for r in residuals]
+    rms_px = [float(np.sqrt(r.mean())) for r in squares]
     covered = _covered_share(views, size)
     entry = {
         "K": K.tolist(),
@@ -101,33 +136,164 @@ def board_files(
         "height": size[1],
         "model": model,
         "distortion": distortion.tolist(),
-        "residuals_px": {v.name: round(value, 4) for v, value in zip(views, rms, strict=True)},
+        "residuals_px": {view.name: round(value, 4) for view, value in zip(views, rms_px, strict=True)},
         "covered": round(covered, 3),
     }
-    overall = float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in residuals]))))
+    overall = float(np.sqrt(np.mean(np.concatenate(squares))))
     messages = [f"{len(views)} pictures, {overall:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
+    if covered < _LEAST_COVERED:
+        messages.append("the lens is known only where corners were: hold the board in every part of the picture, near and far")
     if overall > _WARNING_PX:
         messages.append(f"{overall:.1f} px rms is high: another --model may fit this lens better, or the board is not flat")
     plot = cv2.imencode(".png", _plot(views, residuals, size))[1].tobytes()
     return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, messages
 
 
+def _grey_pictures(files: Mapping[str, bytes], notes: list[str]) -> Iterator[tuple[str, Uint8s]]:
+    """Name and (h, w) grey levels of each picture; a note is added for each file that cannot be read, or not whole."""
+    for name, data in files.items():
+        capture = Capture(name, np.frombuffer(data, np.uint8))
+        try:
+            for picture_name, image in all_pictures(capture, _VIDEO_STEP, _MOST_PER_VIDEO):
+                yield picture_name, np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        except BadCapture as error:
+            notes.append(str(error))
+
+
+def _sample(files: Mapping[str, bytes]) -> list[Uint8s]:
+    """From `_SAMPLE` to twice as many pictures, spread over all (fewer if there are no more)."""
+    sample: list[Uint8s] = []
+    step = 1
+    for number, (_, grey) in enumerate(_grey_pictures(files, [])):
+        if number % step:
+            continue
+        sample.append(grey)
+        if len(sample) == 2 * _SAMPLE:
+            sample = sample[::2]
+            step *= 2
+    return sample
+
+
+def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
+    """The board as it is printed: of all that a statement may mean, what shows the most corners; what is stated, if as many."""
+    few = sample[:: max(1, len(sample) // _FEW)]
+    if not stated.marker:
+        # the same board by its squares, and by its corners; a search without success takes long
+        others = [replace(stated, columns=stated.columns + k, rows=stated.rows + k) for k in (-1, 1)]
+        return stated if _corners_seen(stated, few) else max([stated, *others], key=lambda board: _corners_seen(board, few))
+    best, most = _best_layout(stated, few)
+    if most >= _LEAST_CORNERS * min(_LEAST_PICTURES, len(few)):
+        return best
+    for dictionary in _likely_dictionaries(few):
+        found, corners = _best_layout(replace(stated, dictionary=dictionary), few)
+        if corners > most:
+            best = found
+            most = corners
+    return best
+
+
+def _best_layout(stated: Board, sample: Sequence[Uint8s]) -> tuple[Board, int]:
+    """The layout that shows the most corners (of equal ones, the one most like what is stated), and their number."""
+    counts = [_marker_count(stated.dictionary, sample, is_inverted) for is_inverted in (False, True)]
+    stated = replace(stated, is_inverted=counts[1] > counts[0])
+    scored = [(board, _corners_seen(board, sample)) for board in _layouts(stated)]
+    return max(scored, key=lambda layout: layout[1])
+
+
+def _layouts(stated: Board) -> list[Board]:
+    """The ChArUco boards that a statement may mean; what is stated comes first."""
+    sizes: list[tuple[int, int]] = []
+    for more in (0, 1):  # 1: corners are stated, not squares
+        columns = stated.columns + more
+        rows = stated.rows + more
+        sizes += [(columns, rows), (rows, columns)]
+    layouts: list[Board] = []
+    for columns, rows in dict.fromkeys(sizes):
+        layouts.append(replace(stated, columns=columns, rows=rows))
+        if rows % 2 == 0:  # with an odd number of rows both layouts are the same
+            layouts.append(replace(stated, columns=columns, rows=rows, is_legacy=True))
+    return layouts
+
+
+def _likely_dictionaries(sample: Sequence[Uint8s]) -> list[str]:
+    """The two dictionaries of which the most markers are found, black on white or white on black."""
+    counts: dict[str, int] = {}
+    for name in DICTIONARIES:
+        if not name.endswith(("_50", "_100", "_250")):  # these are parts of those of 1000
+            counts[name] = max(_marker_count(name, sample, False), _marker_count(name, sample, True))
+    return sorted(counts, key=lambda name: -counts[name])[:2]
+
+
+def _marker_count(dictionary: str, sample: Sequence[Uint8s], is_inverted: bool) -> int:
+    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary))
+    count = 0
+    for grey in sample:
+        _, ids, _ = detector.detectMarkers(255 - grey if is_inverted else grey)
+        count += 0 if ids is None else len(ids)
+    return count
+
+
+def _corners_seen(board: Board, sample: Sequence[Uint8s]) -> int:
+    """Number of corners of a board in pictures, as far as they lie where a plane shows them: a wrong layout mixes them up."""
+    count = 0
+    for grey in sample:
+        view = _detect_corners("", grey, board)
+        if view is None:
+            continue
+        limit = _PLANE_SHARE * float(np.ptp(view.image, axis=0).max())
+        inliers = cv2.findHomography(view.board[:, :2], view.image, cv2.RANSAC, limit)[1]
+        count += 0 if inliers is None else int(np.count_nonzero(inliers))
+    return count
+
+
+def _differences(stated: Board, printed: Board) -> list[str]:
+    """Messages on how a board is printed, where that is not what was stated."""
+    notes: list[str] = []
+    if (printed.columns, printed.rows) != (stated.columns, stated.rows):
+        counted = "squares" if printed.marker else "inner corners"
+        notes.append(
+            f"the board has {printed.columns}x{printed.rows} {counted}, not {stated.columns}x{stated.rows}: "
+            f"a checkerboard is stated by its inner corners, a ChArUco board by its squares"
+        )
+    if printed.dictionary != stated.dictionary:
+        notes.append(f"its markers are of the dictionary {printed.dictionary}, not {stated.dictionary}")
+    if printed.is_inverted:
+        notes.append("its markers are white on black (inverted)")
+    if printed.is_legacy:
+        notes.append("its layout is that of OpenCV before 4.6 (legacy)")
+    return notes
+
+
+def _dictionary(name: str) -> Any:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+
+
 def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
+    """The corners in a picture (h, w); None if the board is not found in it."""
     size = board.columns, board.rows
     if board.marker:
-        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
-        pattern = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
-        if ids is None or len(ids) < _LEAST_CORNERS:
-            return None
-        points = np.asarray(pattern.getChessboardCorners(), np.float32)[np.asarray(ids).ravel()]
-        return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
+        return _detect_charuco(name, grey, board)
+    if min(size) < 3:
+        return None
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
     is_found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
     if not is_found:
         return None
     grid = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2) * board.square
     points = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
+    return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
+
+
+def _detect_charuco(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
+    markers = _dictionary(board.dictionary)
+    if board.columns * board.rows // 2 > len(markers.bytesList):
+        return None  # the dictionary has not as many markers as the board
+    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, markers)
+    pattern.setLegacyPattern(board.is_legacy)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(255 - grey if board.is_inverted else grey)
+    if ids is None or len(ids) < min(_LEAST_CORNERS, (board.columns - 1) * (board.rows - 1)):
+        return None
+    points = np.asarray(pattern.getChessboardCorners(), np.float32)[np.asarray(ids).ravel()]
     return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
 
 

@@ -32,30 +32,86 @@ def seen(texture: Uint8s, rays: Float64s, turn: tuple[float, float, float], shif
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8)
 
 
-@pytest.mark.parametrize("charuco", [False, True])
-def test_a_folder_of_board_pictures_is_calibrated_with_residuals_and_coverage(tmp_path: Path, charuco: bool) -> None:
-    table = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    board = cv2.aruco.CharucoBoard((10, 7), SQUARE, 0.022, table)
-    texture = np.asarray(board.generateImage((10 * PX, 7 * PX)), np.uint8) if charuco else CHECKERS
+def calibrated(folder: Path, texture: Uint8s, *options: str) -> tuple[Lens, str]:
+    """The lens found from seven pictures of a board, and what was printed."""
     x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = lens_rays(LENS, np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
     places = [(-0.1, -0.05), (0.1, -0.05), (-0.1, 0.06), (0.1, 0.06), (0.0, 0.0), (0.05, 0.02), (-0.04, -0.02)]
-    (tmp_path / "pictures").mkdir()
+    (folder / "pictures").mkdir()
     for k, (a, b) in enumerate(places):
         turn = (0.5 * np.sin(k), 0.5 * np.cos(2 * k), 0.1 * k)
-        cv2.imwrite(str(tmp_path / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
-    options = ["--board", "10x7" if charuco else "9x6", "--square", str(SQUARE), *(["--marker", "0.022"] if charuco else [])]
-    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *options, "--out", str(tmp_path)])
+        cv2.imwrite(str(folder / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
+    command = ["calibrate", "gate", str(folder / "pictures"), "--square", str(SQUARE), *options, "--out", str(folder)]
+    result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
-    found = read_calibration(tmp_path / "gate.json")["gate"].lens
-    lens = Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model)
+    found = read_calibration(folder / "gate.json")["gate"].lens
+    return Lens(np.array(found.K), np.array(found.distortion), None, found.width, found.height, found.model), result.output
+
+
+def assert_is_the_lens(lens: Lens) -> None:
     assert lens.K is not None and LENS.K is not None
     assert lens.K[[0, 1], [0, 1]] == pytest.approx(LENS.K[[0, 1], [0, 1]], rel=0.01)
     assert lens.K[:2, 2] == pytest.approx(LENS.K[:2, 2], abs=4.0)
     assert lens.distortion[0] == pytest.approx(LENS.distortion[0], abs=0.04)
+
+
+def charuco(columns: int, rows: int, dictionary: str = "4X4_50", legacy: bool = False, inverted: bool = False) -> Uint8s:
+    """The picture of a board with markers of 22 mm."""
+    table = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    board = cv2.aruco.CharucoBoard((columns, rows), SQUARE, 0.022, table)
+    board.setLegacyPattern(legacy)
+    texture = np.asarray(board.generateImage((columns * PX, rows * PX)), np.uint8)
+    return 255 - texture if inverted else texture
+
+
+@pytest.mark.parametrize("is_charuco", [False, True])
+def test_a_folder_of_board_pictures_is_calibrated_with_residuals_and_coverage(tmp_path: Path, is_charuco: bool) -> None:
+    options = ["--board", "10x7", "--marker", "0.022"] if is_charuco else ["--board", "9x6"]
+    lens, output = calibrated(tmp_path, charuco(10, 7) if is_charuco else CHECKERS, *options)
+    assert_is_the_lens(lens)
+    assert " not " not in output and "inverted" not in output and "legacy" not in output
     reported = json.loads((tmp_path / "gate.json").read_text())["gate"]
     assert max(reported["residuals_px"].values()) < 0.3 and reported["covered"] > 0.4
     assert (tmp_path / "gate-coverage.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("stated", "legacy", "inverted"),
+    [("10x8", True, False), ("10x8", False, True), ("9x7", False, False), ("9x7", True, True), ("7x9", True, False)],
+)
+def test_a_charuco_board_is_found_however_it_is_printed_and_counted(
+    tmp_path: Path, stated: str, legacy: bool, inverted: bool
+) -> None:
+    texture = charuco(10, 8, legacy=legacy, inverted=inverted)
+    lens, output = calibrated(tmp_path, texture, "--board", stated, "--marker", "0.022")
+    assert_is_the_lens(lens)
+    assert ("before 4.6" in output) == legacy
+    assert ("inverted" in output) == inverted
+    assert (f"10x8 squares, not {stated}" in output) == (stated != "10x8")
+
+
+@pytest.mark.parametrize("dictionary", ["4X4_1000", "6X6_250", "ARUCO_ORIGINAL", "APRILTAG_36h11"])
+def test_the_dictionary_of_the_markers_is_found_out(tmp_path: Path, dictionary: str) -> None:
+    lens, output = calibrated(tmp_path, charuco(10, 7, dictionary), "--board", "10x7", "--marker", "0.022")
+    assert_is_the_lens(lens)
+    family = dictionary.rsplit("_", 1)[0] if dictionary[1] == "X" else dictionary
+    if dictionary != "4X4_1000":  # its first markers are those of the default, 4X4_50
+        assert f"of the dictionary {family}" in output
+
+
+def test_a_checkerboard_counted_by_its_squares_is_found_and_said(tmp_path: Path) -> None:
+    lens, output = calibrated(tmp_path, CHECKERS, "--board", "10x7")
+    assert_is_the_lens(lens)
+    assert "9x6 inner corners, not 10x7" in output
+
+
+def test_an_unknown_dictionary_is_named_with_those_that_exist(tmp_path: Path) -> None:
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "0.png").write_bytes(cv2.imencode(".png", CHECKERS)[1].tobytes())
+    options = ["--board", "10x7", "--marker", "0.02", "--square", "0.03", "--dictionary", "9X9_50", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, ["calibrate", "gate", str(tmp_path / "pictures"), *options])
+    assert result.exit_code == 2
+    assert "9X9_50" in result.output and "APRILTAG_36h11" in result.output
 
 
 FISHEYE = Lens(

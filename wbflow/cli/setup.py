@@ -144,10 +144,9 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
 @click.option("--marker", type=click.FloatRange(min=0), default=0.0, metavar="M", help="Edge of a marker, for a ChArUco board.")
 @click.option(
     "--dictionary",
-    type=click.Choice([f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)]),
     default="4X4_50",
     metavar="NAME",
-    help="Dictionary of the markers: 4X4_50 to 7X7_1000.",
+    help="Dictionary of the markers: 4X4_50 to 7X7_1000, APRILTAG_36h11 and so on.",
 )
 @click.option(
     "--model",
