@@ -37,6 +37,8 @@ _SAMPLE = 12
 """Number of pictures, spread over all, that tell how the board is printed."""
 _FEW = 6
 """Number of pictures of the sample, at least, in which other ways to print the board are looked for."""
+_FEWEST = 3
+"""Number of pictures, at least, in which markers of all dictionaries are looked for, which takes long."""
 _CELLS = (8, 6)
 """Columns and rows of the grid of cells over the picture in which corners are counted."""
 _GOOD_PX = 0.3
@@ -217,6 +219,7 @@ def _layouts(stated: Board) -> list[Board]:
 
 def _likely_dictionaries(sample: Sequence[Uint8s]) -> list[str]:
     """The two dictionaries of which the most markers are found, black on white or white on black."""
+    sample = sample[:: max(1, len(sample) // _FEWEST)]
     counts: dict[str, int] = {}
     for name in DICTIONARIES:
         if not name.endswith(("_50", "_100", "_250")):  # these are parts of those of 1000
