@@ -95,6 +95,7 @@ class Things:
         high = corners.max(axis=0)
         columns = np.arange(low[0] + RASTER_M / 2, high[0], RASTER_M)
         rows = np.arange(low[1] + RASTER_M / 2, high[1], RASTER_M)
+        # rays from a metre above its top, straight down
         x, y = np.meshgrid(columns, rows)
         origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, high[2] + 1)])
         down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
@@ -179,6 +180,7 @@ def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """Yield the yard on each night, without traffic and at each frame; all share textures and sky visibility."""
     yard = static_yard(shots.random(1), _texel_m(shots))
     traffic = traffic_scenes(nights, shots)
+    # one atlas for all nights, which share their textures
     atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)
     sky = PreparedScene(yard, CONDITIONS["noon"].light, atlas).sky
     places: dict[str, Stay] = {}
@@ -231,11 +233,13 @@ def _camera_nights(nights: Sequence[_NightScene], shots: Shots, viewpoint: Viewp
 def _images(night: _NightScene, shots: Shots, event: CameraEvent, camera: Camera, lens: Lens, seen: Hits) -> Iterable[Uint8s]:
     """Return the frames of a camera with its pose of a night; `seen`: hits of its rays in its nominal pose."""
     rngs = [np.random.default_rng([*_seed(shots, event.camera), night.number, k]) for k in range(shots.captures)]
+    # a camera whose pictures come from another site
     if event.what == "foreign":
         return containers(replace(shots, cameras=1, threads=1)).cameras[0].captures
     if event.what == "covered":
         folds = np.random.default_rng([shots.seed, 5, night.number]).uniform(0.035, 0.14, (4, 6, 1))
         return [_tarpaulin(folds, shots.size, rng) for rng in rngs]
+    # a turned camera sees along other rays
     if event.what != "none":
         seen = trace_pixels(night.still, camera, lens, np.arange(camera.width * camera.height))
     sensor = sensor_of(np.random.default_rng(_seed(shots, event.camera)), night.conditions.sensor)

@@ -15,8 +15,11 @@ from .render.light import Light, light_of, overcast_of
 from .yard import LAMPS
 
 FIRST_NIGHT = date(2026, 11, 10)
+"""Date of the first night."""
 FRAME_INTERVAL = timedelta(seconds=97)
+"""Time between two captures of a camera: not a whole minute, as with real ones."""
 Weather = Literal["afternoon", "noon", "overcast", "rain", "dusk", "lamps"]
+"""Names of the conditions of a night."""
 NIGHTS: tuple[Weather, ...] = (
     "afternoon", "noon", "overcast", "dusk", "noon", "rain", "afternoon", "lamps", "overcast", "dusk",
 )  # fmt: skip
@@ -60,6 +63,7 @@ class Stay:
 
 
 FOREVER = 1_000_000
+"""The last night of a thing that stays: later than any that is rendered."""
 THINGS: Mapping[str, tuple[Stay, ...]] = {
     "container": (Stay(7, FOREVER, (9.2, 15.3), 0.12),),
     "vehicle": (Stay(7, FOREVER, (28.3, 16.4), 1.5),),
@@ -80,7 +84,10 @@ class Conditions:
     rain: bool = False
 
 
-_DAY, _GREY = light_of("day", LAMPS), overcast_of("day", LAMPS)
+_DAY = light_of("day", LAMPS)
+"""A clear afternoon."""
+_GREY = overcast_of("day", LAMPS)
+"""The same under clouds."""
 CONDITIONS: Mapping[Weather, Conditions] = {
     "afternoon": Conditions("day", time(14, 2, 11), _DAY),
     "noon": Conditions("day", time(12, 7, 40), replace(_DAY, sun_direction=(0.105, -0.640, 0.761), sun=(1.62, 1.56, 1.44))),
@@ -109,20 +116,32 @@ def frame_time(night: int, frame: int, late_s: int) -> datetime:
 
 def event_of(night: int, camera: str) -> CameraEvent:
     """Return the event of a camera on a night; "none" if it has none."""
-    found = (event for event in EVENTS if (event.night, event.camera) == (night, camera))
-    return next(found, CameraEvent(night, camera, "none"))
+    for event in EVENTS:
+        if event.night == night and event.camera == camera:
+            return event
+    return CameraEvent(night, camera, "none")
 
 
 def stays(night: int) -> dict[str, Stay]:
     """Return the things in the yard on a night, with their places."""
-    return {name: stay for name, places in THINGS.items() for stay in places if stay.first <= night <= stay.last}
+    present = {}
+    for name, places in THINGS.items():
+        for stay in places:
+            if stay.first <= night <= stay.last:
+                present[name] = stay
+    return present
 
 
 def turned_axes(event: CameraEvent, focal_px: float) -> Float64s:
     """Return the rotation (3, 3) from a camera's nominal axes to its axes after the event."""
-    pan, tilt = event.turn if event.what == "turned" else np.degrees(np.arctan(np.array(event.turn) / focal_px))
+    if event.what == "turned":
+        pan, tilt = event.turn
+    else:
+        # pixels at the principal point to degrees
+        pan, tilt = np.degrees(np.arctan(np.array(event.turn) / focal_px)).tolist()
     # x right, y down, z ahead: a pan to the right turns z towards x, a tilt upward turns it towards -y
-    a, b = np.radians(float(pan)), np.radians(float(tilt))
+    a = np.radians(pan)
+    b = np.radians(tilt)
     panned = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     tilted = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     return np.asarray(tilted @ panned, np.float64)

@@ -22,7 +22,9 @@ from .render.photograph import DemoSite, Night, Shots, photograph
 from .render.scene import STATIC, WATER, Scene, SceneBuilder
 
 HALF = 20.0
+"""Half the side of the square, metres."""
 TILE_M = 0.8
+"""Side of the paving's tile, metres."""
 BEARINGS_DEG = (0.0, 42.0, 98.0, 163.0, 229.0, 295.0)
 """Bearings of the six cameras from the centre, east of south; the first three are 42, 56 and 98 degrees apart."""
 LAMPS = ((-11.0, -11.0, 4.6), (11.0, -11.0, 4.6), (11.0, 11.0, 4.6), (-11.0, 11.0, 4.6), (0.0, 16.5, 4.6), (0.0, -16.5, 4.6))
@@ -75,10 +77,13 @@ def viewpoints() -> list[Viewpoint]:
     """Return the six cameras, 2.5 m above the ground, looking down on the square, so that most of each image is paving."""
     found = []
     for k, bearing in enumerate(np.deg2rad(BEARINGS_DEG)):
+        # distances and targets vary without a pattern, but are the same in every rendering
         distance = 15.5 + 0.8 * float(np.sin(2.3 * k))
         centre = (distance * float(np.sin(bearing)), -distance * float(np.cos(bearing)), 2.5)
         target = (0.6 * float(np.sin(5.1 * k)), 0.6 * float(np.cos(4.3 * k)), -1.6)
-        bend, shift = (-0.14 - 0.02 * (k % 3), 0.03, 0.0003, -0.0002, 0.0), principal_shift(k)
+        # lenses differ a little, as real ones of one kind do
+        bend = (-0.14 - 0.02 * (k % 3), 0.03, 0.0003, -0.0002, 0.0)
+        shift = principal_shift(k)
         found.append(Viewpoint(f"pole-{k + 1}", centre, target, 74.0 + 2.0 * (k % 2), bend, 0.8 * shift[1], shift))
     return found
 
@@ -89,6 +94,7 @@ def static_square(rng: Rng, texel_m: float) -> Scene:
     build.kind = STATIC
     _ground(build, rng, texel_m)
     _houses(build, rng, texel_m)
+    # random numbers are drawn in this order: textures of later parts depend on it
     look = furniture_textures(build, rng, texel_m)
     _fountain(build, rng, texel_m, look)
     _standing(build, rng, texel_m, look)
@@ -117,6 +123,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
     for k, (side, start, end, height, kind, tint, shop) in enumerate(HOUSES):
         width = end - start
         wall = WALLS[kind](rng, width, height, texel_m, tint)
+        # every house is built on the northern side, then turned to its own
         house = build.with_same_textures()
         door = build.add_texture(paint.planks(rng, 1.3, 2.4, texel_m, ((0.20, 0.11, 0.06), (0.07, 0.14, 0.10))[k % 2]))
         openings = _openings(width, height, panes[k % 2], glass, door)
@@ -124,6 +131,7 @@ def _houses(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         front = build.add_texture(paint.sign_board(rng, 4.5, 0.7, texel_m, (shop,), tint, (0.05, 0.05, 0.06)))
         house.box((start + 0.5 * width, HALF - 0.08, 3.15), (4.5, 0.12, 0.7), front)
         house.box((start + 0.5 * width, HALF - 0.1, height - 0.35), (width, 0.5, 0.35), sill)
+        # the roof, the two side walls and a chimney
         house.quad((start, HALF + 6.0, height + 4.0), (width, 0, 0), (0, -6.3, -4.0), tiles)
         house.quad((end, HALF, height), (0, 8.0, 0), (0, 0, -height), sill)
         house.quad((start, HALF + 8.0, height), (0, -8.0, 0), (0, 0, -height), sill)
@@ -151,6 +159,7 @@ def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     build.kind = WATER
     build.tube((0.0, 0.0, 0.5), 2.18, 0.05, build.add_texture(paint.cloth(rng, texel_m, (0.05, 0.07, 0.07))), sides=8)
     build.kind = STATIC
+    # the rim, as eight beams
     ring = np.linspace(0, 2 * np.pi, 9)
     for a, b in itertools.pairwise(ring):
         build.beam((2.25 * np.cos(a), 2.25 * np.sin(a), 0.66), (2.25 * np.cos(b), 2.25 * np.sin(b), 0.66), 0.22, stone)
@@ -158,6 +167,7 @@ def _fountain(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     words = paint.sign_board(rng, 0.9, 0.6, 0.5 * texel_m, ("ANNO", "1887"), (0.20, 0.15, 0.07), (0.02, 0.02, 0.02))
     build.box((0.11, -0.56, 1.0), (0.9, 0.05, 0.6), build.add_texture(words), yaw=0.2)
     build.box((0.0, 0.0, 1.9), (1.3, 1.3, 0.14), look.stone, yaw=0.2)
+    # the figure: two legs, a body, a head, one arm raised
     for side in (-0.16, 0.16):
         build.tube((side, 0.05 * side, 2.0), 0.13, 0.95, bronze, sides=9)
     build.ball((0.0, 0.0, 3.3), (0.32, 0.24, 0.55), bronze, steps=7)
@@ -184,6 +194,7 @@ def _standing(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
     build.tube((12.2, -13.4, 0.0), 0.64, 2.7, build.add_texture(column), sides=18)
     build.tube((12.2, -13.4, 2.7), 0.75, 0.2, look.steel, sides=18)
     for y in (9.0 + 0.7 * k for k in range(7)):
+        # three bars of an arch
         stand = ((14.4, y, 0.0), (14.4, y, 0.8), (15.2, y, 0.8), (15.2, y, 0.0))
         for i, j in ((0, 1), (3, 2), (1, 2)):
             build.beam(stand[i], stand[j], 0.06, look.steel)
@@ -191,4 +202,5 @@ def _standing(build: SceneBuilder, rng: Rng, texel_m: float, look: Furniture) ->
         build.tube((-17.5, -14.0 + 3.4 * k, 0.0), 0.13, 0.85, look.steel, sides=9)
     for viewpoint in viewpoints():
         x, y, _ = viewpoint.centre
+        # just behind the camera, which must not see its own pole
         build.tube((1.025 * x, 1.025 * y, 0.0), 0.07, 2.8, look.steel, sides=8)

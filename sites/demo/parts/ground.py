@@ -13,6 +13,7 @@ from wbflow_stages.types import Float32s
 from ..render.covers import blobs, lettering, stones
 from ..render.paint import Colour, Rng, Texture, cracks, draw, encode, fractal_noise, mix, palette, shape_of, smoothstep, weather
 
+# Colours are linear reflectances: stone and soil reflect a tenth to a third of the light, paint two thirds.
 COBBLE_TONES = ((0.21, 0.20, 0.19), (0.28, 0.26, 0.24), (0.15, 0.15, 0.155), (0.24, 0.21, 0.18), (0.33, 0.31, 0.29))
 LITTER_TONES = ((0.5, 0.36, 0.12), (0.62, 0.6, 0.55), (0.08, 0.07, 0.06), (0.33, 0.2, 0.1))
 
@@ -21,13 +22,17 @@ def cobbles(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Textur
     """Paint setts with worn tracks, moss and soil in the joints, oil, relaid patches, covers, painted lines and litter."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, relief = stones(rng, shape, texel_m, (0.17, 0.125), 0.018, bond=0.5, jitter=0.16, warp=0.02)
+    # 1. The stones; patches that were relaid have other ones.
     image = palette(COBBLE_TONES, tone)
     relaid = blobs(rng, shape, texel_m, count=int(width_m * height_m / 40), radius_m=0.9)
     mix(image, palette(COBBLE_TONES[::-1], -tone) * np.float32(1.35), (relaid > 0.6).astype(np.float32))
     image *= (1 + 0.28 * relief)[..., None]
+    # 2. The joints, brown with soil or green with moss.
     moss = smoothstep(0.3, 1.5, fractal_noise(rng, shape, texel_m, 4.0))
     soil = np.asarray((0.13, 0.105, 0.075), np.float32) + moss[..., None] * np.asarray((-0.05, 0.015, -0.045), np.float32)
     mix(image, soil, 1 - cover)
+
+    # 3. Use: dirt, wheel tracks, oil; and what lies on top, which is the most distinct for matching.
     weather(rng, image, texel_m, strength=0.2)
     tracks = _tracks(rng, shape, texel_m, count=7)
     image *= (1 - 0.22 * tracks)[..., None]
@@ -42,8 +47,11 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
     """Paint cast slabs: joints, cracks, aggregate, oil and tyre marks, worn paint."""
     shape = shape_of(width_m, height_m, texel_m)
     cover, tone, _ = stones(rng, shape, texel_m, (slab_m, slab_m * 0.8), 0.03, bond=0.0, jitter=0.0, warp=0.003)
+    # 1. Slabs with aggregate.
     base = np.float32(0.27) * (1 + 0.1 * tone + 0.07 * fractal_noise(rng, shape, texel_m, 0.06, octaves=3))
     image = base[..., None] * np.asarray((1.0, 0.965, 0.90), np.float32)
+
+    # 2. Painted letters, and a warning stripe of 0.45 m along the edge, both worn off in places.
     worn = smoothstep(-0.7, 0.5, fractal_noise(rng, shape, texel_m, 0.5))
     if text:
         letters = lettering(shape, texel_m, text, 0.1 * width_m, 0.3 * height_m, min(1.2, 0.4 * height_m))
@@ -51,6 +59,8 @@ def concrete(rng: Rng, width_m: float, height_m: float, texel_m: float, *, slab_
         stripe = (np.indices(shape, dtype=np.float32).sum(axis=0) * texel_m % 0.8 < 0.4).astype(np.float32)
         stripe[int(0.45 / texel_m) :] = 0
         mix(image, (0.62, 0.42, 0.03), 0.8 * worn * stripe)
+
+    # 3. Age: stains, cracks, joints full of dirt, oil, tracks, litter.
     weather(rng, image, texel_m, strength=0.2)
     mix(image, (0.08, 0.075, 0.07), 0.8 * cracks(rng, shape, texel_m, count=int(width_m * height_m / 9), length_m=2.5))
     mix(image, (0.10, 0.09, 0.08), 1 - cover)
@@ -83,10 +93,12 @@ def _tracks(rng: Rng, shape: tuple[int, int], texel_m: float, *, count: int) -> 
     h, w = shape
     t = np.linspace(0, 1, 40)[:, None]
     for _ in range(count):
+        # a quadratic Bezier curve from outside the surface to outside it
         ends = rng.uniform((-0.1 * w, -0.1 * h), (1.1 * w, 1.1 * h), (3, 2))
         path = (1 - t) ** 2 * ends[0] + 2 * t * (1 - t) * ends[1] + t**2 * ends[2]
         along = np.gradient(path, axis=0)
         side = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+        # two wheels, 1.7 m apart
         for offset in (-0.85, 0.85):
             draw(cover, path + side * offset / texel_m, int(0.24 / texel_m), int(rng.integers(90, 220)))
     return cover.astype(np.float32) / np.float32(255) * smoothstep(-1.2, 0.8, fractal_noise(rng, shape, texel_m, 0.5))
@@ -96,11 +108,13 @@ def _markings(rng: Rng, image: Float32s, texel_m: float) -> None:
     """Add worn paint: bays with numbers, a driveway's broken line, arrows."""
     shape = (image.shape[0], image.shape[1])
     paint = np.zeros(shape, np.uint8)
-    width_m, height_m = shape[1] * texel_m, shape[0] * texel_m
+    width_m = shape[1] * texel_m
+    height_m = shape[0] * texel_m
 
     def line(*points_m: tuple[float, float]) -> None:
         draw(paint, np.array(points_m) / texel_m, 0.12 / texel_m)
 
+    # bays of 3.2 m along one edge, a broken line along the other, arrows between
     for k in range(int(width_m / 3.2)):
         line((3.2 * k + 0.8, 0.3), (3.2 * k + 0.8, 0.17 * height_m))
     for k in range(int(width_m / 2.5)):
@@ -121,13 +135,15 @@ def _covers(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
     radius = int(0.36 / texel_m)
     if radius < 3:
         return
+    # one face for all covers: they are alike on purpose
     yy, xx = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
     disc = np.clip(radius - np.hypot(xx, yy), 0, 1)
     studs = (np.sin(xx * texel_m * 55) * np.sin(yy * texel_m * 55) > 0.1).astype(np.float32)
     ring = (np.abs(np.hypot(xx, yy) - 0.86 * radius) < 0.06 * radius).astype(np.float32)
     face = np.asarray((0.10, 0.085, 0.075), np.float32) * (1 + 0.9 * np.maximum(studs, ring))[..., None]
     for _ in range(count):
-        y, x = (int(rng.integers(radius, n - radius - 1)) for n in (h, w))
+        y = int(rng.integers(radius, h - radius - 1))
+        x = int(rng.integers(radius, w - radius - 1))
         mix(image[y - radius : y + radius + 1, x - radius : x + radius + 1], face, disc)
 
 
@@ -140,6 +156,7 @@ def _litter(rng: Rng, image: Float32s, texel_m: float, *, count: int) -> None:
         corners = centre + rng.normal(0, 0.6, (5, 2)) * size
         hull = cv2.convexHull(np.round(corners * 16).astype(np.int32))
         tone = rng.choice(np.array(LITTER_TONES)) * rng.uniform(0.6, 1.2)
+        # in sixteenths of a texel
         cv2.fillConvexPoly(image, hull, tone.tolist(), cv2.LINE_AA, 4)
 
 
@@ -155,7 +172,10 @@ def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Text
     y, x = (np.indices(shape, dtype=np.float32) + 0.5) / n
     # four slabs around a small dark one, as cut stone is often laid, each with its own tone
     inset = np.float32(0.24)
-    arms = np.where((y < inset) & (x >= inset), 0, np.where((x >= inset) & (y >= inset) & (x > y), 1, np.where(y >= inset, 2, 3)))
+    is_upper = (y < inset) & (x >= inset)
+    is_right = (x >= inset) & (y >= inset) & (x > y)
+    is_lower = y >= inset
+    arms = np.where(is_upper, 0, np.where(is_right, 1, np.where(is_lower, 2, 3)))
     arms = np.where((np.abs(x - 0.60) < 0.10) & (np.abs(y - 0.55) < 0.10), 4, arms)
     tones = rng.permutation(np.array(SLAB_TONES, np.float32))
     image = np.asarray(tones[arms], np.float32)
@@ -163,10 +183,12 @@ def repeating_tiles(rng: Rng, tile_m: float, tiles: int, texel_m: float) -> Text
     grain = fractal_noise(rng, shape, tile_m / n, 0.12, octaves=4, gain=0.8)
     image *= (1 + 0.14 * grain)[..., None]
     image *= (1 - 0.35 * blobs(rng, shape, tile_m / n, count=5, radius_m=0.04 * tile_m))[..., None]
+    # joints where the number of the slab changes, and along two edges of the tile, which meet the other two of its copies
     edge = np.abs(np.diff(arms, axis=0, prepend=arms[:1])) + np.abs(np.diff(arms, axis=1, prepend=arms[:, :1])) > 0
     wide = max(round(0.012 / (tile_m / n)), 1)
     joints = cv2.dilate(edge.astype(np.uint8), np.ones((wide, wide), np.uint8)).astype(np.float32)
-    joints[:wide], joints[:, :wide] = 1.0, 1.0
+    joints[:wide] = 1.0
+    joints[:, :wide] = 1.0
     mix(image, (0.10, 0.09, 0.075), 0.9 * joints)
     one = encode(image, tile_m / n)
     return Texture(np.ascontiguousarray(np.tile(one.pixels, (tiles, tiles, 1))), one.texel_m)
@@ -193,6 +215,7 @@ def with_lines(texture: Texture, lines_m: Float32s, width_m: float, rng: Rng, co
     for line in lines_m:
         draw(paint, line / texture.texel_m, width_m / texture.texel_m)
     worn = smoothstep(-1.1, 0.4, fractal_noise(rng, shape, texture.texel_m, 0.4))
+    # textures hold square roots of reflectances: paint is mixed in linear light
     image = np.asarray(np.square(texture.pixels.astype(np.float32) / np.float32(255)), np.float32)
     mix(image, colour, 0.85 * worn * paint.astype(np.float32) / np.float32(255))
     return encode(image, texture.texel_m)

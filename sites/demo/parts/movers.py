@@ -18,6 +18,7 @@ from .street import car, car_textures
 Way = tuple[tuple[float, float], tuple[float, float]]
 """Start and end point, metres east and north."""
 
+# Linear reflectances.  Each person wears two of the clothes.
 CLOTHES = ((0.75, 0.32, 0.02), (0.10, 0.16, 0.35), (0.45, 0.05, 0.04), (0.55, 0.55, 0.08), (0.06, 0.06, 0.07), (0.25, 0.35, 0.22))
 
 HELMETS = ((0.75, 0.65, 0.05), (0.7, 0.7, 0.68), (0.1, 0.25, 0.5))
@@ -73,6 +74,7 @@ def person(build: SceneBuilder, rng: Rng, place: Place, yaw: float, look: tuple[
     ahead, side = axes_of(yaw)
     step = 0.18 * float(rng.uniform(0.3, 1.2))
     for sign in (-1, 1):
+        # arm and leg of one side swing against each other
         hip = np.array([x, y, 0.88]) + 0.09 * sign * side
         build.beam(hip, hip + sign * step * ahead - np.array([0, 0, 0.88]), 0.15, trousers)
         shoulder = np.array([x, y, 1.42]) + 0.22 * sign * side
@@ -98,6 +100,7 @@ def _forklift(build: SceneBuilder, place: Place, yaw: float, paint: int, dark: i
     ahead, side = axes_of(yaw)
     p = np.array(place)
     build.box(p - 0.2 * ahead + (0, 0, 0.3), (1.9, 1.15, 0.9), paint, yaw=yaw)
+    # four posts under the roof, then the mast with its two forks
     for a, s in itertools.product((-0.7, 0.5), (-0.5, 0.5)):
         build.beam(p + a * ahead + s * side + (0, 0, 1.2), p + a * ahead + s * side + (0, 0, 2.1), 0.08, dark)
     build.box(p - 0.1 * ahead + (0, 0, 2.1), (1.5, 1.15, 0.08), paint, yaw=yaw)

@@ -27,6 +27,7 @@ class CarTextures:
 
 def car_textures(build: SceneBuilder, rng: Rng, texel_m: float) -> CarTextures:
     """Add the textures of cars to a scene."""
+    # cars are seen from nearby, so their texels are fine
     fine = min(texel_m, 0.03)
     paints = tuple(build.add_texture(_lacquer(rng, fine, colour)) for colour in CAR_PAINTS)
     glass = build.add_texture(paint.cloth(rng, fine, (0.045, 0.055, 0.062)))
@@ -51,7 +52,7 @@ def car(build: SceneBuilder, look: CarTextures, colour: int, *, length: float = 
     wide = 1.76
     part.box((0.0, 0.0, 0.26), (length, wide, 0.28), look.dark, sides=body)
     part.box((0.0, 0.0, 0.54), (length - 0.12, wide, 0.34), body)
-    # the cabin: glass all round, under a painted roof
+    # the cabin: glass all round, under a painted roof; its eight corners are those of a car of 4.3 m
     low = [np.array([x * (length / 4.3), y, 0.88]) for x, y in ((0.95, 0.80), (-1.75, 0.80), (-1.75, -0.80), (0.95, -0.80))]
     top = [np.array([x * (length / 4.3), y, 1.44]) for x, y in ((0.25, 0.62), (-1.20, 0.62), (-1.20, -0.62), (0.25, -0.62))]
     for k, (a, c) in enumerate(zip(low, top, strict=True)):

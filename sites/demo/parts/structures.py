@@ -45,6 +45,7 @@ def facade(
     """Add a wall with openings, seen from outside: top left `corner`, unit direction `right`, `size` = (width, height).
 
     The wall is cut along the edges of its openings; one texture continues across all its pieces."""
+    # pieces between all edges of openings, so that none needs a hole
     corner = np.asarray(corner, np.float64)
     right = np.asarray(right, np.float64)
     inward = np.cross(right, -UP)
@@ -73,6 +74,7 @@ def _recess(build: SceneBuilder, corner: Float64s, right: Float64s, inward: Floa
     build.quad(corner + across + deep, -deep, down, wall, (o.left + o.width, o.top))
     build.quad(corner + deep + down, across, -deep, wall, (o.left, o.top + o.height))
     build.quad(corner, across, deep, wall, (o.left, o.top))
+    # windows have a sill; doors lie deeper, and have none
     if o.depth < 0.2:
         middle = corner + 0.5 * across + down - 0.04 * inward
         yaw = float(np.arctan2(right[1], right[0]))
@@ -125,6 +127,7 @@ def _ribs(
     """Add a corrugated wall of trapezoids of about 0.28 m between posts and rails; its texture ignores the corrugation."""
     length, height = size
     down = -(height - 2 * _POST) * UP
+    # the two rails, then the two posts
     build.quad(corner, length * right, -_POST * UP, texture)
     build.quad(corner - (height - _POST) * UP, length * right, -_POST * UP, texture, (0.0, height - _POST))
     for at in (0.0, length - _POST):
@@ -154,6 +157,7 @@ def crane(
     build.box(base + height * UP, (2.4, 2.2, 2.1), yellow, yaw=bearing)
     build.box(base - 3.2 * ahead + height * UP, (2.2, 1.8, 1.2), striped, yaw=bearing)
     build.beam(base - 3.0 * ahead + (height + 0.2) * UP, base + (height + 0.2) * UP, 0.5, yellow)
+    # the jib rises by 0.16 rad, 9 degrees
     rise = ahead * np.cos(0.16) + UP * np.sin(0.16)
     _lattice(build, base + 1.2 * ahead + (height + 0.6) * UP, aside, np.cross(rise, aside), rise, 0.9, reach, yellow)
     tip = base + ahead * (1.2 + reach * 0.97) + (height + 0.6 + reach * 0.16) * UP

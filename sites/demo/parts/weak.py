@@ -27,6 +27,7 @@ def check_surfaces(surfaces: str, scene: str) -> None:
 def white_plaster(rng: Rng, width_m: float, height_m: float, texel_m: float) -> Texture:
     """Paint freshly whitened, even plaster: one per cent of contrast, a few hair cracks."""
     image = _nearly_even(rng, (width_m, height_m), texel_m, (0.80, 0.79, 0.76), broad=0.012, fine=0.006, fine_m=0.05)
+    # one for each five metres: too few to match by
     hair = cracks(rng, image.shape[:2], texel_m, count=int(width_m / 5), length_m=1.5)
     mix(image, (0.45, 0.43, 0.40), 0.4 * hair)
     return encode(image, texel_m)
@@ -51,5 +52,6 @@ def _nearly_even(
 ) -> np.ndarray:
     """Return (h, w, 3) of one colour with relative deviations: `broad` over metres, `fine` over up to `fine_m` metres."""
     shape = shape_of(*size_m, texel_m)
+    # contrasts of a per cent are near the noise of a sensor: matching has to live with little more
     tone = 1 + broad * fractal_noise(rng, shape, texel_m, 3.0) + fine * fractal_noise(rng, shape, texel_m, fine_m, octaves=2)
     return np.asarray(tone[..., None] * np.asarray(colour, np.float32), np.float32)

@@ -91,6 +91,7 @@ def look_at(centre: Float64s, target: Float64s, roll_deg: float = 0.0) -> Float6
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
+    # a roll turns the axes of the picture about the optical axis
     c = np.cos(np.deg2rad(roll_deg))
     s = np.sin(np.deg2rad(roll_deg))
     return np.array([c * right + s * down, -s * right + c * down, forward])
@@ -103,6 +104,7 @@ def camera_at(viewpoint: Viewpoint, size: tuple[int, int]) -> tuple[Camera, Lens
     """
     width, height = size
     angle = np.deg2rad(viewpoint.hfov_deg) / 2
+    # half the picture's width at a focal length of 1: that of a pinhole, or where the lens takes the ray at this angle
     half_width = float(np.tan(angle))
     if viewpoint.model == "fisheye" or viewpoint.whole_picture:
         lens = Lens(K=np.eye(3), distortion=np.array(viewpoint.distortion), model=viewpoint.model)
@@ -150,7 +152,7 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
         u = (x[k] - K[0, 2]) / K[0, 0]
         v = (y[k] - K[1, 2]) / K[1, 1]
         radius = np.sqrt(u * u + v * v)
-        angle = radius
+        angle = radius  # nearly right: the lens is nearly equidistant
         for _ in range(30):
             t2 = angle * angle
             off = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
@@ -158,6 +160,7 @@ def _fisheye_rays(rays: Float64s, x: Float64s, y: Float64s, K: Float64s, distort
             angle -= step
             if abs(step) < 1e-13:
                 break
+        # the ray leaves the axis by this angle, in the direction of the pixel
         across = np.sin(angle) / radius if radius > 0 else 0.0
         rays[k, 0] = across * u
         rays[k, 1] = across * v

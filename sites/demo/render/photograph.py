@@ -202,11 +202,13 @@ def captures(
     still: radiance (h, w, 3) of the empty scene; only pixels that movers may change are rendered again.
     """
     for (scene, moving), rng in zip(frames, rngs, strict=True):
+        # most pixels are as in the empty scene
         radiance = still.copy()
         pixels = np.flatnonzero(changed_pixels(moving, scene.light, camera, lens))
         radiance.reshape(-1, 3)[pixels] = render_pixels(scene, camera, lens, pixels)
         if rain:
             radiance = add_rain(radiance, scene.light, rng)
+        # automatic exposure differs by an eighth of a stop
         exposure = float(2 ** rng.uniform(-0.12, 0.12))
         yield develop(radiance, sensor, exposure, rng)
 
@@ -231,6 +233,7 @@ def trace_pixels(prepared: PreparedScene, camera: Camera, lens: Lens | None, pix
     y, x = np.divmod(pixels[:, None], camera.width)
     column = (SAMPLES * x + COLUMN).ravel().astype(np.float64)
     row = (SAMPLES * y + ROW).ravel().astype(np.float64)
+    # samples are the centres of the parts of a pixel, whose own centre has whole coordinates
     rays = pixel_rays(camera, lens, (column + 0.5) / SAMPLES - 0.5, (row + 0.5) / SAMPLES - 0.5)
     return trace(prepared, camera.C, rays, 1.0 / (SAMPLES * camera.K[0, 0]))
 
@@ -252,12 +255,14 @@ def true_depth(prepared: PreparedScene, camera: Camera, wide: Lens | None = None
     y, x = np.divmod(np.arange(camera.width * camera.height), camera.width)
     rays = pixel_rays(camera, wide, x.astype(np.float64), y.astype(np.float64))
     distance, facet = prepared.cast(np.broadcast_to(camera.C.astype(np.float32), rays.shape), rays)
+    # index -1, for nothing, is replaced by 0 and masked
     known = (facet >= 0) & (prepared.scene.kinds[np.maximum(facet, 0)] != WATER)
     normals = prepared.scene.normals[np.maximum(facet, 0)]
     is_back = np.einsum("ni,ni->n", normals, rays) > 0
     normals = np.where(is_back[:, None], -normals, normals)
     depth = np.where(known, distance, np.float32(0))
     if wide is None:
+        # from metres along the ray to metres along the optical axis
         depth = (depth * (rays @ camera.R[2].astype(np.float32))).astype(np.float32)
     return depth.reshape(camera.height, camera.width), normals.reshape(camera.height, camera.width, 3)
 
@@ -269,6 +274,7 @@ def pinholes_of(camera: Camera, lens: Lens, name: str) -> list[Camera]:
     views = views_of_lens(lens.K.tolist(), lens.distortion.tolist(), lens.width, lens.height, lens.model)
     for turn, (left, right, up, down) in views:
         f = lens.K[0, 0]
+        # left, right, up and down are tangents of the view's edges
         K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * up - 0.5], [0.0, 0.0, 1.0]])
         size = (round(f * (right - left)), round(f * (down - up)))
         turned = replace(lens, camera=name, turn=np.array(turn))
@@ -312,6 +318,7 @@ def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
     """Return the shadows of facets (t, 3, 3) on the ground, for each light; for a lamp only near it, where they are visible."""
     found = []
     if max(light.sun) > 0:
+        # 10 km away from the sun: beyond the ground, wherever it is
         found.append(_on_ground(facets, facets - 1e4 * np.asarray(light.sun_direction)))
     for lamp in light.lamps:
         away = facets - np.asarray(lamp.position)
@@ -322,7 +329,7 @@ def _shadows(facets: Float64s, light: Light) -> list[Float64s]:
 
 def _on_ground(start: Float64s, end: Float64s) -> Float64s:
     """Return the points where the segments from `start` down to `end` meet z = 0, clamped to the segments."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # level segments never meet it
         share = np.nan_to_num(start[..., 2] / (start[..., 2] - end[..., 2]), nan=1.0)
         share = np.clip(share, 0, 1)
     return np.asarray(start + share[..., None] * (end - start), np.float64)

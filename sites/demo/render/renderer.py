@@ -59,7 +59,8 @@ def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
 def _halved(fine: Uint8s) -> Uint8s:
     """Return the means of 2 x 2 texels in linear light (texels hold square roots); an odd last row or column is duplicated."""
     height, width = fine.shape[:2]
-    linear = np.square(cv2.copyMakeBorder(fine, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE), dtype=np.float32)
+    even = cv2.copyMakeBorder(fine, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+    linear = np.square(even, dtype=np.float32)
     size = ((width + 1) // 2, (height + 1) // 2)
     mean = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
     return np.asarray(np.sqrt(mean) + np.float32(0.5), np.float32).astype(np.uint8)
@@ -190,16 +191,21 @@ def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: F
     gloss = np.array([texture.gloss for texture in prepared.scene.textures], np.float32)
     if not gloss.any():
         return radiance
+    # 1. The wet facets that were hit, and how much of each is water.
     hit = seen.facet >= 0
     share = gloss[prepared.scene.texture_of[seen.facet[hit]]]
     wet = np.flatnonzero(share > 0)
     rays = seen.directions[hit][wet]
     facing = seen.facing[wet]
+
+    # 2. What they mirror: the sky, where nothing stands in the way.
     cosine = np.clip(-np.sum(rays * facing, axis=1, keepdims=True), 0, 1)
     mirrored = (rays + 2 * cosine * facing).astype(np.float32)
     clear = prepared.reaches(lifted[wet], mirrored)[:, None]
     ground = np.asarray(prepared.light.ground, np.float32)
     there = clear * sky_radiance(prepared.light, mirrored) + (1 - clear) * ground * 0.5
+
+    # 3. Mix it in, more at grazing angles.
     part = share[wet, None] * (_HEAD_ON + (1 - _HEAD_ON) * (1 - cosine) ** 5)
     radiance[wet] += part * (there - radiance[wet])
     return radiance
@@ -207,6 +213,7 @@ def add_sheen(prepared: PreparedScene, seen: Hits, lifted: Float32s, radiance: F
 
 def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, spread: float) -> Hits:
     """Return the hits of n rays from `centre`; `spread`: footprint of a ray per metre of distance."""
+    # 1. The first facet on each ray.
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     distance, facet = prepared.cast(origins, directions)
     scene = prepared.scene
@@ -216,8 +223,11 @@ def trace(prepared: PreparedScene, centre: Float64s, directions: Float32s, sprea
     on = facet[hit]
     points = np.asarray(centre, np.float32) + rays * far[:, None]
     normals = scene.normals[on]
+    # facets are seen from both sides: the normal is turned towards the camera
     is_back = np.einsum("ni,ni->n", normals, rays) > 0
     facing = np.where(is_back[:, None], -normals, normals)
+
+    # 2. Its colour, averaged over the ray's footprint.
     albedo = np.empty_like(points)
     painted = (scene.origins, scene.along_u, scene.along_v, scene.offsets, scene.texture_of)
     _filter(albedo, (points, rays, facing, far, on), spread, painted, prepared.atlas)
@@ -238,6 +248,7 @@ def shade(prepared: PreparedScene, seen: Hits, jitter: Float32s) -> Float32s:
         return radiance
     points = seen.points
     facing = seen.facing
+    # light is added up source by source, then multiplied by the reflectance
     received = np.empty_like(points)
     _sky_light(received, points, facing, prepared.sky, np.array(light.sky, np.float32), np.array(light.ground, np.float32))
     # rays to the lights start a little off the surface, further away the more distant it is: single precision
@@ -288,7 +299,9 @@ def _lamp_strength(strength: Float32s, points: Float32s, normals: Float32s, plac
         square = x * x + y * y + z * z
         distance = np.sqrt(square)
         cosine = (normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z) / distance
+        # all its light downward, 15 % sideways, 3 % upward
         hood = min(max(0.15 + z / distance, 0.03), 1.0)
+        # 0.3 m2 keeps a lamp's own holder from glaring; `least` lets the light end where it no longer matters
         strength[k] = max(max(cosine, 0.0) * hood / (square + 0.3) - least, 0.0)
 
 
@@ -394,6 +407,7 @@ def _sky_light(received: Float32s, points: Float32s, normals: Float32s, around: 
                     for dx in range(2):
                         weight = (ax if dx else 1 - ax) * (ay if dy else 1 - ay) * (az if dz else 1 - az)
                         seen += n * n * weight * grid[iz + dz, iy + dy, ix + dx, side]
+        # share of the sky above the facet's horizon; facets that face down see the ground instead
         up = 0.5 + 0.5 * normals[k, 2]
         for c in range(3):
             received[k, c] = seen * (sky[c] * (0.35 + 0.65 * up) + ground[c] * (1 - up))

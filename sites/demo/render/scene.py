@@ -93,6 +93,7 @@ class SceneBuilder:
 
         axis: direction of the texture's rows, if it is not `right`."""
         c, r, d = (np.asarray(v, np.float64) for v in (corner, right, down))
+        # texture axes: unit vectors along the edges; v is made perpendicular to u, if the quad is not a rectangle
         v = d / np.linalg.norm(d)
         if axis is None:
             u = r / np.linalg.norm(r)
@@ -144,6 +145,7 @@ class SceneBuilder:
         a = np.asarray(start, np.float64)
         along = np.asarray(end, np.float64) - a
         axis = along / float(np.linalg.norm(along))
+        # any direction that is not along the bar will do: upward, unless the bar is upright itself
         not_along = (0, 0, 1.0) if abs(axis[2]) < 0.95 else (0, 1.0, 0)
         side = np.cross(axis, not_along)
         side /= np.linalg.norm(side)
@@ -187,8 +189,10 @@ class SceneBuilder:
         """Add a copy of a part that shares this builder's textures.
 
         It is rotated about its origin by `yaw` radians and by exactly `quarters` right angles, then moved to `at`, metres."""
+        # right angles are exact, so that what meets at a corner still does
         quarter = np.linalg.matrix_power(np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]), quarters % 4)
         turn = quarter @ np.column_stack([*axes_of(yaw), UP])
+        # the first four entries of a facet are vectors, turned all at once: (t, 3, 3), and (t, 3) each
         vectors = list(zip(*part._facets, strict=True))[:4]
         corners, origins, u, v = (np.array(column) @ turn.T for column in vectors)
         move = np.asarray(at, np.float64)
@@ -198,6 +202,7 @@ class SceneBuilder:
     def build(self) -> Scene:
         """Return the scene as arrays."""
         corners, origins, u, v, offsets, textures, kinds = (np.array(column) for column in zip(*self._facets, strict=True))
+        # corners are counter-clockwise from the front: normals point outward
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return Scene(
@@ -222,6 +227,7 @@ def axes_of(yaw: float) -> tuple[Float64s, Float64s]:
 
 def joined(scene: Scene, movers: Scene) -> Scene:
     """Return both scenes as one; facets of `scene` come first."""
+    # textures of the second follow those of the first, so their numbers move up
     both = {name: np.concatenate([getattr(scene, name), getattr(movers, name)]) for name in (*VECTORS, "kinds")}
     texture_of = np.concatenate([scene.texture_of, movers.texture_of + len(scene.textures)]).astype(np.int32)
     return Scene(**both, texture_of=texture_of, textures=scene.textures + movers.textures)

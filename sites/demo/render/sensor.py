@@ -31,8 +31,13 @@ class Sensor:
     """Share of the light that is lost in the corners."""
 
 
-_SETTINGS = {"day": (1.0, 9000.0), "dusk": (1.9, 2600.0), "night": (3.4, 900.0), "dark": (13.0, 235.0)}
-"""Exposure factor and electrons at white, by time of day."""
+_SETTINGS = {
+    "day": (1.0, 9000.0),
+    "dusk": (1.9, 2600.0),
+    "night": (3.4, 900.0),
+    "dark": (13.0, 235.0),
+}
+"""Exposure factor and electrons at white, by time of day: a higher gain reaches white with fewer electrons, so it is noisier."""
 
 
 def sensor_of(rng: Rng, light: str) -> Sensor:
@@ -47,10 +52,16 @@ def sensor_of(rng: Rng, light: str) -> Sensor:
 def develop(radiance: Float32s, sensor: Sensor, exposure: float, rng: Rng) -> Uint8s:
     """Return one capture, (h, w, 3) uint8 sRGB, of linear radiance (h, w, 3); `exposure`: additional factor of this capture."""
     h, w = radiance.shape[:2]
-    x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)[:, None]
+    # 1. The light that reaches the sensor: vignetting grows with the square of the distance from the middle, the lens blurs
+    # by half a pixel.
+    x = np.linspace(-1, 1, w, dtype=np.float32)
+    y = np.linspace(-1, 1, h, dtype=np.float32)[:, None]
     fall = 1 - np.float32(sensor.vignette) * (0.75 * x * x + 0.25 * y * y)
     gain = np.asarray(sensor.balance, np.float32) * np.float32(sensor.gain * exposure)
     light = cv2.GaussianBlur(radiance, (0, 0), 0.45) * fall[..., None] * gain
+
+    # 2. Noise: photons arrive at random, so the variance of a pixel is its number of electrons (Poisson, here Gaussian), to which
+    # reading adds its own.  Electrons beyond 1.5 times white are lost.
     noise = rng.standard_normal(light.shape, dtype=np.float32)
     electrons = np.clip(light, 0, 1.5) * np.float32(sensor.full_well)
     electrons += noise * np.sqrt(electrons + np.float32(sensor.read**2))
@@ -76,7 +87,9 @@ def burn_clock(image: Uint8s, name: str, time: datetime) -> Uint8s:
     w, h = clock_size((image.shape[1], image.shape[0]))
     out = image.copy()
     out[:h, :w] //= 4
-    text, font = f"{name.upper()}  {time:%Y-%m-%d  %H:%M:%S}", cv2.FONT_HERSHEY_SIMPLEX
+    text = f"{name.upper()}  {time:%Y-%m-%d  %H:%M:%S}"
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    # as large as fits, by the width of as many zeros: the size does not change with the time shown
     unit_w, unit_h = cv2.getTextSize("0" * len(text), font, 1.0, 1)[0]
     scale = min(0.94 * w / unit_w, 0.62 * h / unit_h)
     origin = (int(0.02 * w), round(0.5 * (h + scale * unit_h)))
@@ -103,9 +116,10 @@ def add_rain(radiance: Float32s, light: Light, rng: Rng) -> Float32s:
     height, width = radiance.shape[:2]
     scale = width / 640
     streaks = np.zeros((height, width), np.uint8)
-    slant = rng.normal(0.18, 0.03)
+    slant = rng.normal(0.18, 0.03)  # one wind for all drops
     for _ in range(round(STREAKS * height * width / max(scale, 0.5))):
-        x, y = rng.uniform(0, width), rng.uniform(-0.05 * height, height)
+        x = rng.uniform(0, width)
+        y = rng.uniform(-0.05 * height, height)  # some begin above the picture
         long = rng.uniform(8, 34) * scale
         end = (round(x + slant * long), round(y + long))
         cv2.line(streaks, (round(x), round(y)), end, int(rng.integers(35, 130)), max(round(scale), 1), cv2.LINE_AA)
