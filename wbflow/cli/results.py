@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..errors import ExitCode, UsageError
+from ..errors import ExitCode, UsageError, WbflowError, worst
 from ..pipeline.exports import EXPORTS, SCANS
 from ..words import counted
 from . import common
@@ -301,6 +301,8 @@ def _export_options(command: Callable[..., None]) -> Callable[..., None]:
 def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted: bool) -> None:
     """Write a run's results for other programs.  Without RUN, those of the newest run with a cloud.
 
+    An export that cannot be made does not stop the others; it is named, and the exit code is not 0.
+
     \b
     wbflow export site.yaml --laz --heights --out maps
     wbflow export site.yaml 20261120T031500Z --colmap --out model
@@ -313,8 +315,20 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
 
     loaded = load(site, work)
     run = _run_of(loaded, run_id or loaded.work_folder.latest_good.name)
-    for file in write(run, out, names):
-        echo(file)
+    exit_codes = []
+    for row in EXPORTS:
+        if row.name not in names:
+            continue
+        try:
+            for file in write(run, out, frozenset({row.name})):
+                echo(file)
+        except WbflowError as error:
+            if len(names) == 1:
+                raise
+            echo(f"--{row.name} was not made: {error}", err=True)
+            exit_codes.append(error.exit_code)
+    if exit_codes:
+        stop(ExitCode(worst(exit_codes)), f"{len(exit_codes)} of {len(names)} exports not made; the others are in {out}")
 
 
 @click.command()

@@ -216,10 +216,24 @@ def test_wrong_arguments_are_refused_and_nothing_is_written(
 def test_a_missing_package_is_named_with_what_to_install(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "lazrs" else found(name, *rest))
-    result = wbflow_export(site, tmp_path / "out", "--laz", "--depth")
+    result = wbflow_export(site, tmp_path / "out", "--laz")
     assert result.exit_code == 2
     assert "--laz needs lazrs: pip install 'wbflow[las]'" in result.output
     assert not (tmp_path / "out").exists()
+
+
+def test_an_export_that_cannot_be_made_does_not_stop_the_others(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "lazrs" else found(name, *rest))
+    result = wbflow_export(site, tmp_path / "out", "--laz", "--depth")
+    assert result.exit_code == 2
+    assert "--laz was not made: --laz needs lazrs" in result.stderr
+    assert f"1 of 2 exports not made; the others are in {tmp_path / 'out'}" in result.stderr
+    written = {Path(line) for line in result.stdout.splitlines()}
+    assert written == {path for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert written
 
 
 def test_a_night_is_compared_with_a_scan_of_its_site(site: Path, tmp_path: Path) -> None:
