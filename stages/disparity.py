@@ -70,7 +70,9 @@ def match_dense(
 
     # 1. match
     inputs = {"pair": pair, "left": left, "right": right, "rectification": rectification}
-    matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options)()
+    height, width = pair.left.shape
+    lengths = {"h": height, "w": width}
+    matches: DenseMatches | Rejected = bind(MATCHERS, matcher, inputs, options, DenseMatches | Rejected, lengths)()
     if isinstance(matches, Rejected):
         return matches
 

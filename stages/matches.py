@@ -49,7 +49,7 @@ def match(
     References: W. Hao, wide-baseline stereo, 2011, chapter 3.
     """
     inputs = {"left": left, "right": right, "left_frame": left_frame, "right_frame": right_frame}
-    matches: Matches | Rejected = bind(MATCHERS, matcher, inputs, options)()
+    matches: Matches | Rejected = bind(MATCHERS, matcher, inputs, options, Matches | Rejected)()
     if isinstance(matches, Rejected):
         return matches
     # a matcher returns what it finds, however little: the limit is the stage's, the same for all of them

@@ -21,7 +21,7 @@ from .core.ordering import percentiles
 from .core.residual_distortion import residual_distortion, undistorted_points
 from .mvs.ground import ground_homography, inverse_depth_line
 from .rectification.fitting import Layout, finish_layout, fit_layout
-from .rectification.method import MatchedPair
+from .rectification.method import Homographies, MatchedPair, PolarImages
 from .rectification.predicted import ground_in_both, predict
 from .rectification.quality import parallax_px
 from .rectification.warping import to_rectified
@@ -115,7 +115,8 @@ def rectify(
 
     def fit(pair: MatchedPair) -> Layout | Rejected:
         inputs = {"pair": pair, "geometry": geometry, "left": left, "right": right}
-        return fit_layout(pair, method, bind(METHODS, method, inputs, options), fallback)
+        bound = bind(METHODS, method, inputs, options, Homographies | PolarImages)
+        return fit_layout(pair, method, bound, fallback)
 
     # 1. by the matches
     limits = _Limits(min_matches, max_row_error_px, min_angle_deg, range_margin)

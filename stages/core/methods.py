@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from ..types.checking import check_result
+
 
 def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
     """Return the function behind a name of the table, or behind `package.module:function`.
@@ -33,8 +35,15 @@ def method(table: Mapping[str, str], name: str) -> Callable[..., Any]:
     return function  # type: ignore[no-any-return]
 
 
-def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], options: Mapping[str, object]) -> Callable[[], Any]:
-    """Return a method with its inputs and parameters bound, ready to be called.
+def bind(
+    table: Mapping[str, str],
+    name: str,
+    inputs: Mapping[str, object],
+    options: Mapping[str, object],
+    returns: Any = Any,
+    lengths: Mapping[str, int] | None = None,
+) -> Callable[[], Any]:
+    """Return a method with its inputs and parameters bound, ready to be called.  Results of methods in no table are checked.
 
     Raises ValueError if the name is unknown or the method needs an input that is not available; TypeError if the method lacks
     one of the options.
@@ -45,6 +54,7 @@ def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], opti
     name : one of them, or `package.module:function`.
     inputs : the stage's inputs by argument name; None: not available.
     options : parameters of the method, by name.
+    returns, lengths : what a method returns (see `types.checking.check_result`).
     """
     function = method(table, name)
     arguments = inspect.signature(function).parameters
@@ -63,4 +73,13 @@ def bind(table: Mapping[str, str], name: str, inputs: Mapping[str, object], opti
             if option not in parameters:
                 known = ", ".join(parameters) or "none"
                 raise TypeError(f"method {name!r} does not read {option!r}; its parameters: {known}")
-    return partial(function, **wanted_inputs, **options)
+    bound = partial(function, **wanted_inputs, **options)
+    if name in table:
+        return bound
+
+    def checked() -> Any:
+        result = bound()
+        check_result(result, name, returns, lengths)
+        return result
+
+    return checked

@@ -74,7 +74,8 @@ def detect(frame: Frame, *, offset: float = 0.0) -> Features:
     _trouble("features")
     xy = np.array([[frame.image.mean() + offset, float(frame.image[0, 0, 0])]])
     ones = np.ones(1, np.float32)
-    return Features(xy, np.eye(2)[None], np.ones((1, 4), np.float32), ones, np.zeros(1, np.uint8), frame.view)
+    view = dataclasses.replace(frame.view, width=300, height=300)  # which the keypoint lies in
+    return Features(xy, np.eye(2)[None], np.ones((1, 4), np.float32), ones, np.zeros(1, np.uint8), view)
 
 
 def estimate_overlap(
@@ -210,9 +211,10 @@ def fuse(
 
 
 def _filled(kind: Any, **fields: Any) -> Any:
-    """A dataclass with 0.0 in every field that is neither given nor has a default."""
-    missing = (f.name for f in dataclasses.fields(kind) if f.default is MISSING and f.default_factory is MISSING)
-    return kind(**(dict.fromkeys(missing, 0.0) | fields))
+    """A dataclass with 0, or what is like it, in every field that is neither given nor has a default."""
+    nothing = {"int": 0, "float": 0.0, "bool": False, "str": "", "Float32s": np.zeros(0, np.float32)}
+    missing = [f for f in dataclasses.fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    return kind(**{f.name: nothing[str(f.type)] for f in missing if f.name not in fields}, **fields)
 
 
 def _trouble(stage: str) -> None:

@@ -26,6 +26,9 @@ CALIBRATION, DEPTH, REFINE, FUSE, CHANGES = "calibration", "depth", "refine", "f
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that means "nothing usable here": it has `reason` and `figures`."""
 
+CHECK_RESULT = "wbflow_stages.types.checking:check_result"
+"""The function that checks what a site's own function returned: (result, dotted name of the function, type that is needed)."""
+
 SITE_TYPES = {
     "captures": "wbflow_stages.types:Capture",
     "mask": "wbflow_stages.types:Capture",

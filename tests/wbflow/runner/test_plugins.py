@@ -137,7 +137,7 @@ def test_imported_choices_of_a_parameter_are_checked(toy: ToySite, line: str, an
 
 
 def test_a_matcher_may_take_only_the_frames(toy: ToySite) -> None:
-    write(toy, "left_frame, right_frame", x1="one * left_frame.image[0, 0, 0]", sides="left_frame right_frame")
+    write(toy, "left_frame, right_frame", x1="one * (left_frame.image[0, 0, 0] / 40)", sides="left_frame right_frame")
     matcher(toy)
     done = toy.wbflow("run", "--jobs", "1")
     assert done.returncode == 0, done.stderr
@@ -251,3 +251,28 @@ def test_status_reports_that_the_reference_was_pinned_with_another_model(toy: To
     assert "it was pinned with another" not in toy.wbflow("status").stderr
     (toy.folder / "one.onnx").write_bytes(bytes([3, 5]))
     assert "it was pinned with another model in matches" in toy.wbflow("status").stderr
+
+
+@pytest.mark.parametrize(
+    ("x1", "fault"),
+    [
+        ("one.astype(np.float32)", "x1 is float32 (1, 2); float64 (n, 2) is needed"),
+        ("[[1.0, 1.0]]", "x1 is a list; an array, float64 (n, 2), is needed"),
+        ("one[0]", "x1 is float64 (2,); float64 (n, 2) is needed"),
+        ("np.ones((2, 2))", "x2 is float64 (1, 2); float64 (n, 2) is needed, with n = 2"),
+        ("one * np.nan", "x1 has 2 of 2 values that are not finite"),
+        ("one * 1000", "x1 has 1 of 1 points outside of the 300 x 300 picture, such as (1000, 1000)"),
+    ],
+)
+def test_a_wrong_result_names_the_function_and_the_field(toy: ToySite, x1: str, fault: str) -> None:
+    write(toy, "left, right", x1=x1)
+    matcher(toy)
+    done = toy.wbflow("run", "--jobs", "1", "--until", "geometry")
+    assert f"plugin:find returned a wrong Matches: {fault}" in done.stdout + done.stderr
+
+
+def test_a_result_of_another_type_names_what_is_needed(toy: ToySite) -> None:
+    (toy.folder / "plugin.py").write_text("def find(left, right):\n    return [1, 2]\n")
+    matcher(toy)
+    done = toy.wbflow("run", "--jobs", "1", "--until", "geometry")
+    assert "plugin:find returned list; Matches or Rejected is needed" in done.stdout + done.stderr
