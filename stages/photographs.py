@@ -23,7 +23,8 @@ def read_frame(
 ) -> Frame:
     """The clean frame of one photograph: upright, undistorted, at working resolution, with intrinsics of its own size.
 
-    Raises OSError if the file cannot be read, ValueError if it holds no usable image; the message names the fault.
+    Raises OSError if the file cannot be read, ValueError if it holds no usable image or the lens is impossible; the message names
+    the fault.  `Frame.from_image` does the same for a picture in memory.
 
     Parameters
     ----------
@@ -34,9 +35,7 @@ def read_frame(
     mask : an image file of the photograph's size; pixels that are not zero may be used.
     resolution : long side of the frame in pixels; None: as photographed.
     """
-    if distortion is None:
-        distortion = np.zeros(5)
-    lens = Lens(K, np.asarray(distortion, dtype=np.float64), hfov_deg)
+    lens = Lens.of_arrays(K, distortion, hfov_deg)
     mask_capture = None
     if mask is not None:
         mask_capture = _capture(mask)

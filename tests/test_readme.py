@@ -6,14 +6,16 @@ import json
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
 
 import wbflow
-from tests.helpers.synthetic_site import small_yard, write_straight
+from tests.helpers.synthetic_site import small_yard, straight_capture, write_straight
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
 
@@ -89,7 +91,7 @@ def test_the_python_example_of_the_readme_works(
 
 
 def test_the_user_matcher_of_the_guide_works_beside_the_site_file(folder: Path) -> None:
-    _, typed = blocks("stages/README.md", "python")
+    *_, typed = blocks("stages/README.md", "python")
     named, _ = blocks("stages/README.md", "yaml")  # the other block is about a network
     (folder / "orb.py").write_text(typed)
     site = folder / "orb.yaml"
@@ -107,7 +109,7 @@ def test_the_user_matcher_of_the_guide_works_beside_the_site_file(folder: Path) 
 def test_the_guide_computes_disparity_from_two_photographs_in_ten_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typed, _ = blocks("stages/README.md", "python")
+    typed, *_ = blocks("stages/README.md", "python")
     assert len(typed.splitlines()) <= 10
     for name, camera in zip(("one", "two"), small_yard().cameras, strict=False):
         write_straight(tmp_path / f"{name}.jpg", camera)
@@ -116,6 +118,25 @@ def test_the_guide_computes_disparity_from_two_photographs_in_ten_lines(
     names = runpy.run_path("typed.py")
     assert names["disparity"].density > 0.2
     assert "of the left view has a disparity" in capsys.readouterr().out
+
+
+def test_the_guide_makes_a_cloud_and_pictures_of_several_views_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, typed, _ = blocks("stages/README.md", "python")
+    views = dict(zip(("gate", "roof", "mast", "crane"), small_yard().cameras, strict=True))
+    images: dict[str, Any] = {name: straight_capture(camera) for name, camera in views.items()}
+    intrinsics: dict[str, Any] = {name: camera.lens.K for name, camera in views.items()}
+    np.savez(tmp_path / "images.npz", **images)
+    np.savez(tmp_path / "K.npz", **intrinsics)
+    (tmp_path / "typed.py").write_text(typed)
+    monkeypatch.chdir(tmp_path)
+    names = runpy.run_path("typed.py")
+    assert len(names["cloud"].points) > 50_000
+    assert "points from 4 views" in capsys.readouterr().out
+    assert {"depth-gate.jpg", "matches-gate-roof.jpg"} <= {
+        picture.name for picture in tmp_path.glob("*.jpg") if cv2.imread(str(picture)) is not None
+    }
 
 
 @pytest.mark.parametrize("guide", ["README.md", "wbflow/README.md", "stages/README.md", "scripts/README.md", "sites/README.md"])

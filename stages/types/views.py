@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 
 import numpy as np
 
 from ..contracts.camera_figures import FeaturesFigures, FrameFigures, Notes
 from ..contracts.short_repr import Record
 from .arrays import Bools, Float32s, Float64s, Uint8s
-from .captured import Lens
+from .captured import Capture, Lens
+from .checking import wrong_array
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,61 @@ class Frame(FrameFigures, Notes):
     mask: Bools
     """(h, w), True where a pixel may be used."""
     view: View
+
+    @classmethod
+    def from_image(
+        cls,
+        image: Uint8s,
+        *,
+        K: Float64s | None = None,
+        distortion: Float64s | None = None,
+        hfov_deg: float | None = None,
+        mask: Bools | None = None,
+        resolution: int | None = 1600,
+    ) -> Frame:
+        """The clean frame of a picture in memory: the same as `wbflow_stages.read_frame` makes of a file with these pixels.
+
+        Raises ValueError if an argument is of another type, shape or dtype, or if the picture is not usable (black, blank).
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, RGB, upright.
+        K : (3, 3) intrinsics in pixels of the image, if they are known.
+        distortion : (n,) k1 k2 p1 p2 k3 (OpenCV's order and meaning); None: no distortion.
+        hfov_deg : horizontal field of view in degrees, if only that is known.
+        mask : (h, w) bool, True where a pixel may be used; None: everywhere.
+        resolution : long side of the frame in pixels; None: as the image.
+        """
+        lengths: dict[str, int] = {}
+        if wrong := wrong_array(image, np.uint8, ("h", "w", 3), lengths):
+            raise ValueError(f"image {wrong}: RGB from 0 to 255{_remedy(image)}")
+        if not image.size:
+            raise ValueError(f"image is empty, {image.shape}")
+        if mask is not None and (wrong := wrong_array(mask, np.bool_, ("h", "w"), lengths)):
+            raise ValueError(f"mask {wrong}: True where a pixel may be used")
+        mask_capture = None
+        if mask is not None:
+            mask_capture = Capture.of_pixels("mask", mask.astype(np.uint8) * np.uint8(255))
+        # by name: the stages are a layer above their types
+        clean_frame = import_module("..frames", __package__).clean_frame
+        lens = Lens.of_arrays(K, distortion, hfov_deg)
+        frame: Frame = clean_frame([Capture.of_pixels("image", image)], lens, mask_capture, resolution=resolution)
+        return frame
+
+
+def _remedy(image: object) -> str:
+    """How a picture of another kind becomes one that can be used; "" if that is not obvious."""
+    if not isinstance(image, np.ndarray) or not image.size:
+        return ""
+    if image.dtype.kind == "f":
+        highest = "1" if image.max() <= 1 else "255"
+        scaled = "(image * 255)" if highest == "1" else "image"
+        return f"; if its values are 0 to {highest}, use {scaled}.round().astype(np.uint8)"
+    if image.dtype == np.uint8 and image.ndim == 2:
+        return "; if it is grey, use np.dstack([image] * 3)"
+    if image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 4:
+        return "; without its fourth channel, use image[..., :3]"
+    return ""
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,12 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from wbflow_demo.render.photograph import Daytime, DemoCamera, DemoSite, Shots
 from wbflow_demo.yard import yard
+from wbflow_stages.types import Uint8s
 
 
 def small_yard(light: Daytime = "day", captures: int = 3, seed: int = 0) -> DemoSite:
@@ -22,11 +24,15 @@ def single_pair(width: int = 640) -> DemoSite:
     return _rendered(2, width, 1, 0, "day")
 
 
-def write_straight(file: Path, camera: DemoCamera) -> None:
-    """Write a camera's first capture without distortion: no F fits two views through lenses as distorted as the yard's."""
+def straight_capture(camera: DemoCamera) -> Uint8s:
+    """A camera's first capture without distortion: no F fits two views through lenses as distorted as the yard's."""
     assert camera.lens.K is not None
-    straight = cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion)
-    cv2.imwrite(str(file), cv2.cvtColor(straight, cv2.COLOR_RGB2BGR))
+    return np.asarray(cv2.undistort(camera.captures[0], camera.lens.K, camera.lens.distortion), dtype=np.uint8)
+
+
+def write_straight(file: Path, camera: DemoCamera) -> None:
+    """Write a camera's first capture without distortion."""
+    cv2.imwrite(str(file), cv2.cvtColor(straight_capture(camera), cv2.COLOR_RGB2BGR))
 
 
 @cache

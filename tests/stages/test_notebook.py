@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import wbflow_stages as wb
-from tests.helpers.synthetic_site import single_pair, write_straight
+from tests.helpers.synthetic_site import single_pair, straight_capture, write_straight
+from wbflow.cache.artifact import encode
+from wbflow_stages.types.checking import fault_in
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +37,7 @@ def test_two_photographs_become_disparity_with_a_few_calls(folder: Path) -> None
     assert np.isfinite(d).mean() > 0.2 and disparity.density > 0.3
     for result in (left, *features, matches, geometry, rectification, disparity):
         assert len(repr(result)) < 2000
+        assert fault_in(result) == "", "what a user's function would have to return"
 
 
 def test_a_stated_field_of_view_sets_the_focal_length(folder: Path) -> None:
@@ -62,3 +67,50 @@ def test_a_rejected_result_that_is_needed_raises_its_reason() -> None:
     assert wb.usable("a result") == "a result"
     with pytest.raises(ValueError, match="12 matches, 20 are needed"):
         wb.usable(wb.Rejected("12 matches, 20 are needed"))
+
+
+def test_a_picture_in_memory_gives_the_frame_of_its_file(folder: Path) -> None:
+    camera = single_pair().cameras[0]
+    K = np.asarray(camera.lens.K)
+    coefficients = np.array([0.1, 0.02])
+    image = straight_capture(camera)
+    from_memory = wb.types.Frame.from_image(image, K=K, distortion=coefficients, resolution=480)
+    from_file = wb.read_frame(folder / "left.png", K=K, distortion=coefficients, resolution=480)
+    assert encode(from_memory) == encode(from_file)
+    assert from_memory.image.shape[1] == 480 and not from_memory.mask.all(), "the lens does not show its corners"
+
+
+def test_masked_pixels_of_a_picture_in_memory_are_not_used() -> None:
+    image = straight_capture(single_pair().cameras[0])
+    mask = np.ones(image.shape[:2], np.bool_)
+    mask[:, :100] = False
+    frame = wb.types.Frame.from_image(image, mask=mask)
+    assert not frame.mask[:, :100].any() and frame.mask[:, 101:].all()
+    assert wb.usable(wb.detect(frame)).xy[:, 0].min() > 90
+
+
+IMAGE = np.full((40, 60, 3), 128, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"image": [[1, 2]]}, "image is a list; an array, uint8 (h, w, 3), is needed"),
+        ({"image": IMAGE / 255}, "use (image * 255).round().astype(np.uint8)"),
+        ({"image": IMAGE * 1.0}, "use image.round().astype(np.uint8)"),
+        ({"image": IMAGE.astype(np.uint16)}, "image is uint16 (40, 60, 3); uint8 (h, w, 3) is needed"),
+        ({"image": IMAGE[..., 0]}, "if it is grey, use np.dstack([image] * 3)"),
+        ({"image": np.dstack([IMAGE, IMAGE])[..., :4]}, "use image[..., :3]"),
+        ({"image": IMAGE[:0]}, "image is empty, (0, 60, 3)"),
+        ({"mask": IMAGE[..., 0]}, "mask is uint8 (40, 60); bool (h, w) is needed"),
+        ({"mask": np.ones((60, 40), np.bool_)}, "mask is bool (60, 40); bool (h, w) is needed, with h = 40"),
+        ({"K": np.eye(2)}, "K is [[1.0, 0.0], [0.0, 1.0]]; [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels is needed"),
+        ({"K": [500, 500, "middle"]}, "K is a list that is no array of numbers"),
+        ({"K": np.eye(3) * np.nan}, "K has values that are not finite"),
+        ({"distortion": np.zeros(6)}, "distortion is (6,); (n,) is needed, n one of 0, 1, 2, 3, 4, 5, 8, 12, 14"),
+        ({"hfov_deg": 300}, "hfov_deg is 300; a horizontal field of view between 0 and 180 degrees is needed"),
+    ],
+)
+def test_what_is_no_picture_or_lens_is_refused_with_what_is_needed(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)):
+        wb.types.Frame.from_image(**{"image": IMAGE, **arguments})
