@@ -27,7 +27,31 @@ REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that means "nothing usable here": it has `reason` and `figures`."""
 
 CHECK_RESULT = "wbflow_stages.types.checking:check_result"
-"""The function that checks what a site's own function returned: (result, dotted name of the function, type that is needed)."""
+"""The function that checks what a site's own function returned: (result, dotted name of the function, types that are needed)."""
+
+RESULT_TYPES = {
+    "frames": "wbflow_stages.types:Frame",
+    "health": "wbflow_stages.types:CameraHealth",
+    "features": "wbflow_stages.types:Features",
+    "overlap": "wbflow_stages.types:Overlap",
+    "pairs": "wbflow.pipeline.pairs:PairGraph",
+    "matches": "wbflow_stages.types:Matches",
+    "geometry": "wbflow_stages.types:Geometry",
+    "poses": "wbflow_stages.types:Poses",
+    "scene": "wbflow_stages.types:Scene",
+    "shared": "wbflow_stages.types:Overlap",
+    "dense_pairs": "wbflow.pipeline.pairs:PairGraph",
+    "rectify": "wbflow_stages.types:Rectification",
+    "disparity": "wbflow_stages.types:Disparity",
+    "calibration": "wbflow_stages.types:CalibrationCheck",
+    "depth": "wbflow_stages.types:DepthMap",
+    "refine": "wbflow_stages.types:DepthMap",
+    "fuse": "wbflow_stages.types:Cloud",
+    "coverage": "wbflow_stages.types:Coverage",
+    "changes": "wbflow_stages.types:Changes",
+}
+"""What a site's own function for a stage must return, if not `REJECTED`.  Not read from the project's function, which would have
+to be imported, with all libraries that it needs.  Of a stage without a row here, the contents alone are checked."""
 
 SITE_TYPES = {
     "captures": "wbflow_stages.types:Capture",

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from ..cache.artifact import bytes_and_facts, result_of
 from ..cache.atomic import DISK_FULL_ERRORS
@@ -28,7 +28,7 @@ from ..cache.memo import ChangedFile
 from ..cache.receipt import Preimage, Receipt
 from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand
 from ..cache.untrusted import read_untrusted
-from ..pipeline.stages import CHECK_RESULT, REJECTED, SITE_TYPES, stage_named
+from ..pipeline.stages import CHECK_RESULT, REJECTED, RESULT_TYPES, SITE_TYPES
 from ..plugins import load, make_importable
 from ..site.captures import CaptureFile
 from ..task import Task
@@ -205,11 +205,12 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
     wall_start, cpu_start = time.perf_counter(), context.clock()
     arguments = {name: _load(value, context) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
+    rejected_class: Any = load(REJECTED)
     if not spec.function.startswith(_OUR_PACKAGES):
         # of the site's own: a wrong result is named here, not where a later stage stumbles over it
-        own_function = load(stage_named(spec.task.stage).function)
-        load(CHECK_RESULT)(result, spec.function, get_type_hints(own_function)["return"])
-    rejected_class: Any = load(REJECTED)
+        named_type = RESULT_TYPES.get(spec.task.stage)
+        result_type: Any = load(named_type) | rejected_class if named_type else Any  # type: ignore[operator]
+        load(CHECK_RESULT)(result, spec.function, result_type)
     outcome: Outcome = "rejected" if isinstance(result, rejected_class) else "ran"
     if outcome == "ran":
         data, facts = bytes_and_facts(result, spec.task.stage, key)
