@@ -209,7 +209,7 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
     if not spec.function.startswith(_OUR_PACKAGES):
         # of the site's own: a wrong result is named here, not where a later stage stumbles over it
         named_type = RESULT_TYPES.get(spec.task.stage)
-        result_type: Any = load(named_type) | rejected_class if named_type else Any  # type: ignore[operator]
+        result_type: Any = load(named_type) | rejected_class if named_type else Any
         load(CHECK_RESULT)(result, spec.function, result_type)
     outcome: Outcome = "rejected" if isinstance(result, rejected_class) else "ran"
     if outcome == "ran":
