@@ -101,7 +101,8 @@ def solve_poses(
     # 1. Compare the stated poses with the images.
     known = _compared_with_images(stated, placements, geometries, frames_if_rough or {})
     is_metric = all(placements[name].metric for name in known.cameras)
-    if rejected := without_baseline(views, known.cameras, geometries, min_angle_deg, is_metric):
+    rejected = without_baseline(views, known.cameras, geometries, min_angle_deg, is_metric)
+    if rejected is not None:
         return rejected
 
     # 2. Trust the cameras that have not moved; those that the images could adjust now count as exact.
@@ -357,12 +358,19 @@ def _moved_message(name: str, check: PoseCheck, metric: bool) -> str:
 
 def _contradictions(known: _KnownPoses, checks: Mapping[str, PoseCheck]) -> list[PoseIssue]:
     """The doubts about poses that contradict each other: about one of them, if all contradictions involve it."""
+    # 1. The groups of cameras, pairs and triplets, in which something contradicts the poses.
     contradicting = [evidence.cameras for evidence in known.evidence if evidence.contradicts]
-    involved = {name for group in contradicting for name in group}
-    in_triplets = {name for group in contradicting if len(group) == 3 for name in group}
+    involved: set[str] = set()
+    in_triplets: set[str] = set()
+    for group in contradicting:
+        involved.update(group)
+        if len(group) == 3:
+            in_triplets.update(group)
     unclear = [name for name in known.cameras if name in involved and not checks[name].verified]
     if not unclear:
         return []
+
+    # 2. One camera is part of all of them: it is the doubtful one.  Of a single group, any camera could be.
     common = [name for name in unclear if all(name in group for group in contradicting)]
     if len(common) == 1 and len(unclear) >= 2 and len(contradicting) >= 2:
         name = common[0]

@@ -91,8 +91,13 @@ class Sights:
             metres = None
             if place is not None and stated_place is not None:
                 metres = float(np.linalg.norm(place - stated_place))
-            results.append({"place": None if place is None else place.tolist(), "pixels": {}, "metres": metres})
-            expected.append(stated_place if place is None else place)
+            # clicks are compared with the place that fits them, or with the stated one if they determine none
+            if place is None:
+                results.append({"place": None, "pixels": {}, "metres": metres})
+                expected.append(stated_place)
+            else:
+                results.append({"place": place.tolist(), "pixels": {}, "metres": metres})
+                expected.append(place)
 
         # all points of one camera are projected together
         for name, sight in self._sights.items():
@@ -122,12 +127,14 @@ class Sights:
         others = {name: pixel for name, pixel in pixels.items() if name in self._sights and name != camera}
         guides: dict[str, Any] = {}
         (place,) = self._places([others])
+        # two clicks or more give a point; one gives a ray, whose image here is the epipolar line
         if place is not None:
             guides["at"] = _rounded(sight.pixels(place[None])[0])
         elif others:
             other, pixel = next(iter(others.items()))
             other_sight = self._sights[other]
             baseline = max(float(np.linalg.norm(sight.C - other_sight.C)), 1e-6)
+            # (n, 1) evenly in the logarithm: nearby points move much faster through the picture than distant ones
             distances = np.geomspace(_NEAR, _FAR, _STEPS)[:, None] * baseline
             guides["lines"] = sight.line_pieces(other_sight.C + distances * other_sight.rays([pixel]))
         if stated is not None:
@@ -182,6 +189,7 @@ def _intersection(rays: Sequence[_Ray]) -> Float64s | None:
     weights = np.ones(len(rays))
     place = np.zeros(3)
     for _ in range(_ROUNDS):
+        # the normal equations: the sum of w P X equals the sum of w P C over all rays
         A = np.sum([w * projector for w, projector in zip(weights, projectors, strict=True)], axis=0)
         if not np.isfinite(A).all() or np.linalg.cond(A) > _MOST_CONDITION:
             return None

@@ -76,7 +76,9 @@ def adjust_within_priors(
     confirmed = set(pairs)
     if not trusted:
         triplets = PoseConstraints.of(names, pairs).triplets
-        confirmed = {pair for triplet in triplets for pair in combinations(triplet.cameras, 2)}
+        confirmed = set()
+        for triplet in triplets:
+            confirmed.update(combinations(triplet.cameras, 2))
     while True:
         # 1. Adjust all that may move.
         tracks = build_tracks({(number[a], number[b]): geometry for (a, b), geometry in pairs.items()}, len(names))
@@ -351,8 +353,11 @@ class AdjustedPoses:
 
     def row_sigmas_px(self, pair: Pair, x1: Float64s, x2: Float64s) -> Float64s:
         """(n,) standard deviation of the distance of points x1, x2 (n, 2) of a pair to the epipolar lines, to first order."""
+        # six rows of the covariance for each camera that could move
         firsts = {self.places[name].first for name in pair if name in self.places}
-        rows = [first + k for first in sorted(firsts) for k in range(6)]
+        rows: list[int] = []
+        for first in sorted(firsts):
+            rows += range(first, first + 6)
         # Steps along the principal axes of the covariance are independent: the squares of their effects add up.
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
         distances = self._line_distances(pair, x1, x2, {})

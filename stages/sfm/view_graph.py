@@ -181,7 +181,9 @@ def guess_lenses(views: tuple[View, ...], geometries: Mapping[Edge, Geometry]) -
 
     # 1. Assume that views of one size and one guess share a lens, named after the first of them.
     groups = _alike_views(views, geometries, known)
-    group_of = {k: members[0] for members in groups for k in members}
+    group_of: dict[int, int] = {}
+    for members in groups:
+        group_of |= dict.fromkeys(members, members[0])
     shared_focal = _vote_focals(views, geometries, known, group_of)
 
     # 2. Let each view vote on its own, and split the groups whose views disagree.
@@ -248,8 +250,10 @@ def _vote_focals(
                 K1 = _candidates(views[i], grid if i in members else None, known.get(i), focal.get(i))
                 K2 = _candidates(views[j], grid if j in members else None, known.get(j), focal.get(j))
                 singular_values = np.linalg.svd(np.swapaxes(K2, 1, 2) @ geometry.F @ K1, compute_uv=False)
+                # 0 for an essential matrix, whose two singular values are equal, up to 1
                 inequality = 1 - singular_values[:, 1] / singular_values[:, 0]
                 cost = cost + np.sqrt(geometry.inliers) * np.minimum(inequality, MOST_UNEQUAL)
+            # on the grid only: two rounds that agree are equal to the bit, which ends the sweeps
             best = float(grid[np.argmin(cost)])
             focal.update(dict.fromkeys(members, best))
         if focal == previous:
