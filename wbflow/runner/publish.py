@@ -16,6 +16,7 @@ from ..errors import UsageError, WbflowError
 from ..pipeline.stages import FUSE, POSES, stage_named
 from ..pipeline.summaries import PosesSummary
 from ..plugins import load
+from ..records.acknowledgement import Acknowledgement
 from ..records.events import TaskEvent
 from ..records.finished_run import Run
 from ..records.metrics import metrics
@@ -25,9 +26,9 @@ from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
 from ..verdict import acknowledge
-from ..verdict.acknowledge import Acknowledgement, with_known
+from ..verdict.acknowledge import with_known
 from ..verdict.ended import EndedNight
-from ..verdict.rules import Facts, judge_run
+from ..verdict.rules import facts_of, judge_run
 from ..verdict.run_record import run_record
 from .journal import Journal
 from .night import Night
@@ -83,7 +84,7 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     harmful, harmless = night.files.in_motion(night.site.captures.dated)
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     acknowledged = _acknowledged(night.site, journal)
-    facts = replace(Facts.from_night(ended, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
+    facts = replace(facts_of(ended, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
     record = with_known(judge_run(record, night, facts), acknowledged)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     # 3. the report, and the folder as a whole

@@ -10,7 +10,7 @@ import datetime
 import getpass
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ import yaml
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
-from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import ChangesSummary, RecordedChange
+from ..records.acknowledgement import Acknowledgement
 from ..records.findings import FINDINGS, Finding
 from ..records.record import RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -32,34 +32,6 @@ _NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
 """Name of an acknowledged change: its kind and its position (x, y, z) in metres."""
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 """First line of the file."""
-
-
-@dataclass(frozen=True)
-class Acknowledgement(JsonDataclass):
-    """A finding or change that somebody has acknowledged."""
-
-    finding: str
-    """Code and subject of a finding ("camera-lost crane-2"), or kind and position of a change ("change new at 9.2,15.3,1.3")."""
-    by: str
-    on: str
-    """ISO 8601 date."""
-    until: str = ""
-    """The last night to which it applies; "" for all nights."""
-    note: str = ""
-
-    def holds(self, night: str) -> bool:
-        """Does it apply to a night?"""
-        return not self.until or night <= self.until
-
-    @property
-    def words(self) -> str:
-        """Who acknowledged it, until when, and why."""
-        text = f"acknowledged by {self.by} on {self.on}"
-        if self.until:
-            text += f", until {self.until}"
-        if self.note:
-            text += f": {self.note}"
-        return text
 
 
 def name_of(finding: Finding) -> str:

@@ -16,12 +16,13 @@ from wbflow.api import load_site
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
 from wbflow.pipeline.summaries import ChangesSummary, RecordedChange
+from wbflow.records.acknowledgement import Acknowledgement
 from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
 from wbflow.records.run_folder import UnfinishedRun
 from wbflow.runner import publish
 from wbflow.verdict import acknowledge, rules
-from wbflow.verdict.acknowledge import Acknowledgement, changes_of, with_known
+from wbflow.verdict.acknowledge import changes_of, with_known
 
 CONTAINER = RecordedChange("new", 9.24, 15.31, 1.3, length=6.3, width=2.7, volume=39.2)
 VAN = RecordedChange("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)

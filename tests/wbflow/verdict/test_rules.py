@@ -17,7 +17,8 @@ from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
 from wbflow.verdict.baseline import appearance_of, usual_before, usual_of
-from wbflow.verdict.rules import Facts, judge
+from wbflow.verdict.facts import Facts
+from wbflow.verdict.rules import judge
 from wbflow_stages.contracts.camera_figures import Health
 from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
 
