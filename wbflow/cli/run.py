@@ -97,7 +97,12 @@ def run(
         nights = _nights(site, date, since)
         if dry_run:
             for night in nights:
-                _print_status(_status(site, night, options["until"], options["force"]))
+                planned = _status(site, night, options["until"], options["force"])
+                if "would run" in planned.totals:
+                    _print_status(planned)
+                else:
+                    totals = ", ".join(f"{count} {state}" for state, count in planned.totals.items())
+                    echo(f"night of {planned.night}: nothing would run: {totals}")
             return ExitCode.GOOD
         exit_codes: list[int] = []
         for night in nights:

@@ -77,3 +77,12 @@ def test_lines_fit_the_terminal(toy: ToySite) -> None:
     lines = [line for line in toy.wbflow("run", "--jobs", "1").stdout.splitlines() if not line[:4].isdigit()]
     assert max(len(line) for line in lines if str(toy.folder) not in line) <= 80  # paths stay whole: they are copied
     assert len(lines) > 4
+
+
+def test_a_dry_run_of_nothing_is_one_line(toy: ToySite) -> None:
+    night = toy.run()["date"]
+    lines = toy.wbflow("run", "--dry-run").stdout.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"night of {night}: nothing would run: ")
+    toy.capture("roof").write_text("another view")
+    assert len(toy.wbflow("run", "--dry-run").stdout.splitlines()) > 10
