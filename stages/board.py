@@ -23,7 +23,7 @@ from .capture.files import BadCapture
 from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
 from .core.lenses import PROJECTIONS, lens_rays, usable_angle
-from .types import Capture, Float32s, Float64s, Lens, Uint8s
+from .types import Capture, Float32s, Float64s, Int32s, Lens, Uint8s
 
 _LEAST_PICTURES = 5
 """Fewest pictures with the board from which a lens is fitted."""
@@ -182,7 +182,9 @@ def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
     if not stated.marker:
         # the same board by its squares, and by its corners; a search without success takes long
         others = [replace(stated, columns=stated.columns + k, rows=stated.rows + k) for k in (-1, 1)]
-        return stated if _corners_seen(stated, few) else max([stated, *others], key=lambda board: _corners_seen(board, few))
+        if _checkers_seen(stated, few):
+            return stated
+        return max([stated, *others], key=lambda board: _checkers_seen(board, few))
     best, most = _best_layout(stated, few)
     if most >= _LEAST_CORNERS * min(_LEAST_PICTURES, len(few)):
         return best
@@ -196,9 +198,15 @@ def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
 
 def _best_layout(stated: Board, sample: Sequence[Uint8s]) -> tuple[Board, int]:
     """The layout that shows the most corners (of equal ones, the one most like what is stated), and their number."""
-    counts = [_marker_count(stated.dictionary, sample, is_inverted) for is_inverted in (False, True)]
-    stated = replace(stated, is_inverted=counts[1] > counts[0])
-    scored = [(board, _corners_seen(board, sample)) for board in _layouts(stated)]
+    # markers are looked for once: that takes most of the time, and they are the same for all layouts
+    upright = [_markers(stated.dictionary, grey, False) for grey in sample]
+    inverted = [_markers(stated.dictionary, grey, True) for grey in sample]
+    is_inverted = sum(map(len, inverted)) > sum(map(len, upright))
+    markers = inverted if is_inverted else upright
+    scored = []
+    for board in _layouts(replace(stated, is_inverted=is_inverted)):
+        views = [_detect_charuco("", grey, board, found) for grey, found in zip(sample, markers, strict=True) if len(found)]
+        scored.append((board, _corners_seen(views)))
     return max(scored, key=lambda layout: layout[1])
 
 
@@ -227,20 +235,37 @@ def _likely_dictionaries(sample: Sequence[Uint8s]) -> list[str]:
     return sorted(counts, key=lambda name: -counts[name])[:2]
 
 
+@dataclass(frozen=True)
+class _Markers:
+    """The markers of a dictionary in one picture."""
+
+    corners: Sequence[Float32s]
+    """The four corners of each marker (1, 4, 2), pixels."""
+    ids: Int32s | None
+    """Their numbers (n, 1); None if there are none."""
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+
+def _markers(dictionary: str, grey: Uint8s, is_inverted: bool) -> _Markers:
+    """The markers in a picture (h, w), black on white or, inverted, white on black."""
+    corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(255 - grey if is_inverted else grey)
+    return _Markers(corners, ids)
+
+
 def _marker_count(dictionary: str, sample: Sequence[Uint8s], is_inverted: bool) -> int:
-    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary))
-    count = 0
-    for grey in sample:
-        _, ids, _ = detector.detectMarkers(255 - grey if is_inverted else grey)
-        count += 0 if ids is None else len(ids)
-    return count
+    return sum(len(_markers(dictionary, grey, is_inverted)) for grey in sample)
 
 
-def _corners_seen(board: Board, sample: Sequence[Uint8s]) -> int:
-    """Number of corners of a board in pictures, as far as they lie where a plane shows them: a wrong layout mixes them up."""
+def _checkers_seen(board: Board, sample: Sequence[Uint8s]) -> int:
+    return _corners_seen([_detect_corners("", grey, board) for grey in sample])
+
+
+def _corners_seen(views: Sequence[_BoardView | None]) -> int:
+    """Number of corners in views of a board, as far as they lie where a plane shows them: a wrong layout mixes them up."""
     count = 0
-    for grey in sample:
-        view = _detect_corners("", grey, board)
+    for view in views:
         if view is None:
             continue
         limit = _PLANE_SHARE * float(np.ptp(view.image, axis=0).max())
@@ -287,13 +312,19 @@ def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
     return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
 
 
-def _detect_charuco(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
-    markers = _dictionary(board.dictionary)
-    if board.columns * board.rows // 2 > len(markers.bytesList):
+def _detect_charuco(name: str, grey: Uint8s, board: Board, markers: _Markers | None = None) -> _BoardView | None:
+    """The corners of a ChArUco board in a picture (h, w); None if it is not found.  markers: if they are known already."""
+    dictionary = _dictionary(board.dictionary)
+    if board.columns * board.rows // 2 > len(dictionary.bytesList):
         return None  # the dictionary has not as many markers as the board
-    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, markers)
+    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
     pattern.setLegacyPattern(board.is_legacy)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(255 - grey if board.is_inverted else grey)
+    detector = cv2.aruco.CharucoDetector(pattern)
+    picture = 255 - grey if board.is_inverted else grey
+    if markers is None:
+        corners, ids, _, _ = detector.detectBoard(picture)
+    else:
+        corners, ids, _, _ = detector.detectBoard(picture, markerCorners=markers.corners, markerIds=markers.ids)
     if ids is None or len(ids) < min(_LEAST_CORNERS, (board.columns - 1) * (board.rows - 1)):
         return None
     points = np.asarray(pattern.getChessboardCorners(), np.float32)[np.asarray(ids).ravel()]

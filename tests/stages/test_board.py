@@ -90,7 +90,7 @@ def test_a_charuco_board_is_found_however_it_is_printed_and_counted(
     assert (f"10x8 squares, not {stated}" in output) == (stated != "10x8")
 
 
-@pytest.mark.parametrize("dictionary", ["4X4_1000", "6X6_250", "ARUCO_ORIGINAL", "APRILTAG_36h11"])
+@pytest.mark.parametrize("dictionary", ["4X4_1000", "6X6_250", "APRILTAG_36h11"])
 def test_the_dictionary_of_the_markers_is_found_out(tmp_path: Path, dictionary: str) -> None:
     lens, output = calibrated(tmp_path, charuco(10, 7, dictionary), "--board", "10x7", "--marker", "0.022")
     assert_is_the_lens(lens)
