@@ -23,7 +23,7 @@ from .capture.files import BadCapture
 from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
 from .core.lenses import PROJECTIONS, lens_rays, usable_angle
-from .types import Capture, Float32s, Float64s, Int32s, Lens, Uint8s
+from .types import Capture, Float32s, Float64s, Lens, Uint8s
 
 _LEAST_PICTURES = 5
 """Fewest pictures with the board from which a lens is fitted."""
@@ -239,10 +239,10 @@ def _likely_dictionaries(sample: Sequence[Uint8s]) -> list[str]:
 class _Markers:
     """The markers of a dictionary in one picture."""
 
-    corners: Sequence[Float32s]
-    """The four corners of each marker (1, 4, 2), pixels."""
-    ids: Int32s | None
-    """Their numbers (n, 1); None if there are none."""
+    corners: Sequence[Any]
+    """The four corners of each marker (1, 4, 2) float32, pixels."""
+    ids: Any
+    """Their numbers (n, 1) int32; None if there are none."""
 
     def __len__(self) -> int:
         return len(self.corners)

@@ -21,6 +21,7 @@ from wbflow.cache import store as cache
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.store import Cache
 from wbflow.records import reference as reference
+from wbflow.reference import folder
 from wbflow.site.load import load_site
 from wbflow.task import Task
 
@@ -276,7 +277,7 @@ def test_pooling_in_any_order_twice_or_after_a_kill_makes_the_same_reference(
     for date in (THIRD, SECOND, THIRD, FIRST):
         toy.run("--date", date)
     functions = {(cache, "write_atomic"): atomic.write_atomic, (cache, "write_checksummed"): checksum.write_checksummed}
-    functions |= {(reference, "write_atomic"): atomic.write_atomic}
+    functions |= {(folder, "write_atomic"): atomic.write_atomic}
     for last in (1, 2, 4, 6, 7, 30, 1000):  # 1000 steps are never reached, so the last one is not interrupted
         steps = iter(range(1000))
         for (module, name), function in functions.items():
@@ -327,7 +328,7 @@ def test_a_kill_while_pinning_leaves_the_old_reference_or_the_new_one(toy: ToySi
     second = toy.run("--date", SECOND)["run"]
     old = reference.read_reference(work)
     for last in range(40):
-        monkeypatch.setattr(reference, "write_atomic", _dying(atomic.write_atomic, iter(range(1000)), last))
+        monkeypatch.setattr(folder, "write_atomic", _dying(atomic.write_atomic, iter(range(1000)), last))
         try:
             pin(Cache(work), good_run(work, second))
             break
