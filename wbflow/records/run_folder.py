@@ -128,12 +128,19 @@ class RunFolder:
         files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
         return [path for path, digest in files if (path.is_file() or missing) and sha256_of(path) != digest]
 
-    def date(self) -> str:
-        """Return the night of the run (ISO 8601); "" if its record cannot be read."""
+    def night(self) -> str:
+        """Return the night (ISO 8601) that puts the run in order; "" if its record cannot be read.
+
+        It is the day of the run itself if the names of captures tell no night, and never later than that: a camera whose clock
+        is years ahead does not hold `latest` for years.
+        """
         try:
-            return self.record().date
+            record = self.record()
         except NoSuchRun:
             return ""
+        started = started_by(self.id)
+        day = started.date().isoformat() if started else record.date
+        return min(record.date, day) if record.dated else day
 
     def is_good(self) -> bool:
         """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions need only a cloud.)"""
@@ -238,16 +245,16 @@ def _of_newest_night(work: WorkFolder, link: Path, may_point_to: Callable[[RunFo
     """
     target = work.link_target(link)
     newest = target
-    newest_date = RunFolder(work.run(target)).date() if target else ""
+    newest_night = RunFolder(work.run(target)).night() if target else ""
     for name in work.run_ids():
         # what ran before the link's target was compared with it when the link was set
         if target and name <= target:
             continue
         run = RunFolder(work.run(name))
-        date = run.date()
-        if date >= newest_date and may_point_to(run):
+        night = run.night()
+        if night >= newest_night and may_point_to(run):
             newest = name
-            newest_date = date
+            newest_night = night
     return newest
 
 

@@ -88,6 +88,7 @@ def run_record(
         code=failed_fuse.code if failed_fuse else None,
         versions=installed_versions(),
         reference=ended.night.reference.run if ended.night.reference else None,
+        dated=dated,
         results=dict(_results(ended, files)),
     )
 

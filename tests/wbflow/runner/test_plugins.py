@@ -142,7 +142,7 @@ def test_a_matcher_may_take_only_the_frames(toy: ToySite) -> None:
     done = toy.wbflow("run", "--jobs", "1")
     assert done.returncode == 0, done.stderr
     assert first_match(toy) > 0
-    assert "\n40 cached" in toy.wbflow("run", "--jobs", "1").stdout
+    assert "\ntasks   40 cached" in toy.wbflow("run", "--jobs", "1").stdout
     toy.capture("roof").write_text("another view")
     toy.wbflow("run", "--jobs", "1")
     assert "matches gate--roof" in toy.ran()
