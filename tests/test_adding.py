@@ -124,7 +124,7 @@ BLACK_NIGHT = """
 import types
 from wbflow.pipeline.summaries import CameraFigures
 from wbflow.records.record import CameraRecord
-from wbflow.verdict.rules import check_pictures
+from wbflow.verdict.pictures import check_pictures
 
 cameras = [CameraRecord(name, "ok", figures=CameraFigures(black_share=share)) for name, share in (("gate", 0.1), ("roof", 0.7))]
 record = types.SimpleNamespace(cameras=cameras, usual=None, pairs_of=lambda name: [])
