@@ -74,7 +74,7 @@ def test_a_capture_replaced_after_reading_is_recorded_with_the_digest_used(
         toy.capture("roof").write_text("a view from roof, and more of it")
         return worked
 
-    monkeypatch.setattr("wbflow.runner.publish.run_tasks", work_then_replace)
+    monkeypatch.setattr("wbflow.runner.life.run_tasks", work_then_replace)
     record = toy.run(code=3 if dated else 0)
     if dated:
         (finding,) = record["verdict"]["findings"]
@@ -109,7 +109,7 @@ def test_a_capture_that_grows_for_ever_degrades_the_night(toy: ToySite, monkeypa
         toy.capture("roof").write_text("a view from roof, and more of it")
         return worked
 
-    monkeypatch.setattr("wbflow.runner.publish.run_tasks", work_while_it_grows)
+    monkeypatch.setattr("wbflow.runner.life.run_tasks", work_while_it_grows)
     (finding,) = toy.run(code=3)["verdict"]["findings"]
     assert (finding["kind"], finding["subject"]) == ("captures-in-motion", ["roof"])
 

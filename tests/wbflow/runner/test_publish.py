@@ -15,9 +15,12 @@ from wbflow.pipeline.stages import Products
 from wbflow.pipeline.summaries import SiteSummary
 
 STAGE = """
-from wbflow_stages.types import Poses, Scene
-def look(poses: Poses) -> Scene:
-    return Scene()
+import numpy as np
+from wbflow_stages.types import Coverage, GroundGrid, Poses
+def look(poses: Poses) -> Coverage:
+    flat = np.zeros((1, 1), np.float32)
+    grid = GroundGrid(np.eye(3), 0.0, 0.0, 1.0, 1, 1)
+    return Coverage(grid, flat, np.zeros((1, 1), np.uint8), flat, flat, 0.0, 0.0, 0.0, 0.0, 0.0)
 """
 FILES = """
 def files(result):
