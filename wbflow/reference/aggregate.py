@@ -33,6 +33,7 @@ MOST_NIGHTS = 30
 """Largest number of nights to pool; the newest are used."""
 
 FEWEST_NIGHTS = 3
+"""Smallest number of nights to pool; with fewer, a task keeps the result of the reference's own night."""
 
 
 def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict[Task, int]:
@@ -40,26 +41,33 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
 
     The caller holds the lock.  Raises CannotPin if too few nights were compared with the reference; OSError.
     """
-    cache, nights = Cache(work), _keys_by_night(work, reference)
+    cache = Cache(work)
+    nights = _keys_by_night(work, reference)
     plan = Plan(_night_of(reference, site, cache))
+    # what the reference has is done: pooled results are derived from it
     for task, pinned in reference.artifacts.items():
-        if receipt := cache.by_key(task, pinned.key):
+        receipt = cache.by_key(task, pinned.key)
+        if receipt:
             plan.commit(task, cached_state(receipt))
+
     results: dict[Task, Receipt] = {}
     counts: dict[Task, int] = {}
     for task in _tasks_to_pool(plan, reference):
         receipts = _comparable_receipts(plan, task, nights)
-        pooled = _pool(plan, task, receipts) if len(receipts) >= FEWEST_NIGHTS else None
-        derived = _derived_results(plan, pooled) if pooled else None
-        if pooled and derived is not None:
-            results |= {receipt.preimage.task: receipt for receipt in (pooled, *derived)}
-            counts |= {receipt.preimage.task: len(receipts) for receipt in (pooled, *derived)}
+        for receipt in _pooled_and_derived(plan, task, receipts):
+            results[receipt.preimage.task] = receipt
+            counts[receipt.preimage.task] = len(receipts)
     if not results:
         what = f"fewer than {FEWEST_NIGHTS} nights have measured the same from the cameras' present places"
         raise CannotPin(what, remedy="a few more nights, and again: wbflow history SITE.yaml lists them")
-    updated = dataclasses.replace(reference, artifacts={**reference.artifacts, **pinned_artifacts(results.values())})
-    all_receipts = [cache.by_key(task, pinned.key) for task, pinned in updated.artifacts.items()]
-    write_reference(cache, updated, [receipt for receipt in all_receipts if receipt])
+
+    artifacts = {**reference.artifacts, **pinned_artifacts(results.values())}
+    all_receipts = []
+    for task, pinned in artifacts.items():
+        receipt = cache.by_key(task, pinned.key)
+        if receipt:
+            all_receipts.append(receipt)
+    write_reference(cache, dataclasses.replace(reference, artifacts=artifacts), all_receipts)
     site.reader.save()
     return counts
 
@@ -76,13 +84,17 @@ def _keys_by_night(work: WorkFolder, reference: Reference) -> dict[str, dict[Tas
     for folder, record in newest_runs(work):
         if reference.run not in {folder.id, record.reference} or record.date in nights:
             continue
-        unmoved = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
         try:
             tasks = folder.tasks()
         except NoSuchRun:  # do without this night
             continue
-        keys = {task: event.key for task, event in tasks.items() if event.usable and event.key and task.subject}
-        nights[record.date] = {task: key for task, key in keys.items() if set(map(camera_of, task.subject)) <= unmoved}
+        unmoved = {camera.id for camera in record.cameras if camera.health is None or camera.health.ok}
+        keys: dict[Task, str] = {}
+        for task, event in tasks.items():
+            of_unmoved_cameras = all(camera_of(view) in unmoved for view in task.subject)
+            if event.usable and event.key and task.subject and of_unmoved_cameras:
+                keys[task] = event.key
+        nights[record.date] = keys
         if folder.id == reference.run or len(nights) == MOST_NIGHTS:
             break
     return dict(sorted(nights.items()))
@@ -90,14 +102,19 @@ def _keys_by_night(work: WorkFolder, reference: Reference) -> dict[str, dict[Tas
 
 def _tasks_to_pool(plan: Plan, reference: Reference) -> list[Task]:
     """The tasks of placed cameras, and of pairs that the reference's own night rejected with one of the codes `too_little`."""
-    tasks: dict[Task, None] = {}
-    for stage in (stage for stage in STAGES if stage.reuse.aggregate):
-        if stage.scope == "pair":
-            names = {stage.name, *_dependents(stage)}
-            rejected = [task for task, state in plan.states.items() if state.code in stage.reuse.too_little]
-            tasks |= dict.fromkeys(Task(stage.name, task.subject) for task in rejected if task.stage in names)
-        else:
-            tasks |= dict.fromkeys(Task(stage.name, (camera,)) for camera in reference.placed)
+    tasks: dict[Task, None] = {}  # a set that keeps its order
+    for stage in STAGES:
+        if not stage.reuse.aggregate:
+            continue
+        if stage.scope == "camera":
+            for camera in reference.placed:
+                tasks[Task(stage.name, (camera,))] = None
+            continue
+        # a pair's matches can be too few already in `matches`, or only in a stage that needs them
+        names = {stage.name, *_dependents(stage)}
+        for task, state in plan.states.items():
+            if task.stage in names and state.code in stage.reuse.too_little:
+                tasks[Task(stage.name, task.subject)] = None
     return list(tasks)
 
 
@@ -108,25 +125,49 @@ def _dependents(stage: Stage) -> list[str]:
 
 def _comparable_receipts(plan: Plan, task: Task, nights: Mapping[str, Mapping[Task, str]]) -> dict[str, Receipt]:
     """A task's receipts by night, if they rest on the poses of the reference; a result that nights share counts once."""
-    stage, state = stage_named(task.stage), plan.states.get(task)
+    stage = stage_named(task.stage)
+    state = plan.states.get(task)
     if state is None or state.receipt is None:
         return {}
-    pose_inputs = [n for n, source in stage.inputs.items() if (source.kind, source.name, source.of) == ("stage", POSES, "own")]
-    reference_poses = [state.receipt.preimage.inputs.get(name) for name in pose_inputs]
+    reference_poses = _pose_digests(state.receipt, stage)
+    # several nights with the same result have the same key: the last of them stands for all
     date_of_key = {keys[task]: date for date, keys in nights.items() if task in keys}
     comparable = {}
     for key, date in date_of_key.items():
         receipt = plan.night.cache.by_key(task, key)
         if receipt is None or receipt.preimage.function == stage.reuse.aggregate:
             continue
-        if [receipt.preimage.inputs.get(name) for name in pose_inputs] == reference_poses:
+        if _pose_digests(receipt, stage) == reference_poses:
             comparable[date] = receipt
     return comparable
 
 
+def _pose_digests(receipt: Receipt, stage: Stage) -> list[str | None]:
+    """Digests of the inputs of a stage's result that are poses."""
+    digests = []
+    for name, source in stage.inputs.items():
+        if (source.kind, source.name, source.of) == ("stage", POSES, "own"):
+            digests.append(receipt.preimage.inputs.get(name))
+    return digests
+
+
+def _pooled_and_derived(plan: Plan, task: Task, receipts: Mapping[str, Receipt]) -> list[Receipt]:
+    """Pool a task's results of nights, and run what needs the pooled result; [] if either yields nothing."""
+    if len(receipts) < FEWEST_NIGHTS:
+        return []
+    pooled = _pool(plan, task, receipts)
+    if pooled is None:
+        return []
+    derived = _derived_results(plan, pooled)
+    if derived is None:
+        return []
+    return [pooled, *derived]
+
+
 def _derived_results(plan: Plan, pooled: Receipt) -> list[Receipt] | None:
     """Run the pair stages that need a pooled result, with other inputs of the reference's night; None if one yields nothing."""
-    task, derived = pooled.preimage.task, []
+    task = pooled.preimage.task
+    derived = []
     plan.commit(task, cached_state(pooled))
     for name in _dependents(stage_named(task.stage)):
         try:
@@ -141,16 +182,22 @@ def _derived_results(plan: Plan, pooled: Receipt) -> list[Receipt] | None:
 
 def _pool(plan: Plan, task: Task, receipts: Mapping[str, Receipt]) -> Receipt | None:
     """Pool the results of nights, and store the result in the cache; None if one of them is damaged."""
-    cache, stage = plan.night.cache, stage_named(task.stage)
+    cache = plan.night.cache
+    stage = stage_named(task.stage)
     function = stage.reuse.aggregate
-    first = next(iter(receipts.values()))
-    stage_inputs = {name: digest for name, digest in first.preimage.inputs.items() if name in stage.inputs}
-    inputs = {**stage_inputs, **{f"night {date}": receipt.digest for date, receipt in receipts.items()}}
+
+    # the key of the pooled result: inputs and parameters of the first night's, and the digest of every night's result
+    first = next(iter(receipts.values())).preimage
+    inputs = {name: digest for name, digest in first.inputs.items() if name in stage.inputs}
+    for date, receipt in receipts.items():
+        inputs[f"night {date}"] = receipt.digest
     code = plan.night.site.reader.code(function)
-    preimage = Preimage(task.stage, task.subject, function, code, first.preimage.parameters, inputs)
+    preimage = Preimage(task.stage, task.subject, function, code, first.parameters, inputs)
     key = preimage.key()
-    if existing := cache.by_key(task, key):
+    existing = cache.by_key(task, key)
+    if existing:
         return existing
+
     try:
         result = load(function)({date: cache.load(task, receipt) for date, receipt in receipts.items()})
     except DamagedArtifact:

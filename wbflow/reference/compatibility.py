@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..cache.receipt import Receipt
+from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import FRAMES, Adapt, Stage
 from ..records.reference import Reference
 from ..runner.night import Night
@@ -18,6 +18,7 @@ from ..site.models import Site
 from ..task import camera_of
 
 _COMPARED = {"lens", "placement", "survey"}
+"""The site file's entries for a camera that its results rest on."""
 
 
 def incompatibility(reference: Reference, night: Night) -> str:
@@ -27,15 +28,21 @@ def incompatibility(reference: Reference, night: Night) -> str:
     are reused from the reference, may not.  night: one of the site as it is now.
     """
     ids = {camera.id for camera in night.site.cameras}
-    if differing := sorted(ids ^ set(reference.cameras)):
+    differing = sorted(ids ^ set(reference.cameras))
+    if differing:
         return f"cameras have come or gone since it was pinned: {', '.join(differing)}"
     for stage in night.stages:
-        if not (stage.reuse.shifted or stage.name == FRAMES):
+        # frames have no rule of reuse, but all else rests on their lenses
+        if stage.name != FRAMES and not stage.reuse.shifted:
             continue
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
-        for task in tasks if stage.scope == "camera" else tasks[:1]:
+        # settings are the same for all pairs; cameras have entries of their own in the site file
+        if stage.scope != "camera":
+            tasks = tasks[:1]
+        for task in tasks:
             receipt = night.cache.by_key(task, reference.artifacts[task].key)
-            if receipt and (change := _change_since(receipt, stage, night)):
+            change = _change_since(receipt, stage, night) if receipt else ""
+            if change:
                 return f"it was pinned with {change}"
     return ""
 
@@ -43,18 +50,33 @@ def incompatibility(reference: Reference, night: Night) -> str:
 def _change_since(receipt: Receipt, stage: Stage, night: Night) -> str:
     """What a result of the reference was made with, if the site file has changed that: a function, parameter or input."""
     pinned = receipt.preimage
-    binding = night.bindings.of(stage)
-    if any(isinstance(rule, Adapt) and rule.function == pinned.function for rule in (stage.reuse.shifted, stage.reuse.moved)):
-        return ""  # it was derived from the result of an earlier reference
-    if pinned.function not in {binding.function.dotted, stage.reuse.aggregate}:
-        return f"other settings: {stage.name}: function {pinned.function} → {binding.function.dotted}"
+    for rule in (stage.reuse.shifted, stage.reuse.moved):
+        if isinstance(rule, Adapt) and rule.function == pinned.function:
+            return ""  # it was derived from the result of an earlier reference
+    function = night.bindings.of(stage).function.dotted
+    if pinned.function not in {function, stage.reuse.aggregate}:
+        return f"other settings: {stage.name}: function {pinned.function} → {function}"
+    return _parameter_change(pinned, stage, night) or _input_change(pinned, stage, night)
+
+
+def _parameter_change(pinned: Preimage, stage: Stage, night: Night) -> str:
+    """The first parameter whose value has changed, as text; "" if none has."""
     stated = night.bindings.stated(stage)
-    for name, value in {**binding.defaults(), **stated}.items():
-        is_new = name not in pinned.parameters
-        # a new parameter with its default changes nothing
-        if (is_new and name in stated) or (not is_new and json.dumps(value) != json.dumps(pinned.parameters[name])):
+    for name, value in {**night.bindings.of(stage).defaults(), **stated}.items():
+        if name in pinned.parameters:
+            # as JSON: a receipt has lists where the site file has tuples
+            changed = json.dumps(value) != json.dumps(pinned.parameters[name])
+        else:
+            # a parameter that a later version brought changes nothing until it is stated
+            changed = name in stated
+        if changed:
             return f"other settings: parameter {stage.name}.{name} {pinned.parameters.get(name)} → {value}"
-    for name, need in binding.inputs.items():
+    return ""
+
+
+def _input_change(pinned: Preimage, stage: Stage, night: Night) -> str:
+    """The first input whose content has changed, as text; "" if none has.  Only files and entries for cameras are compared."""
+    for name, need in night.bindings.of(stage).inputs.items():
         if need.kind == "file":
             file = night.files.named.get(file_of_stage(stage.name, name))
             if file and pinned.inputs.get(name) != Files((file,)).digest:
@@ -73,8 +95,10 @@ LEAST_FOCAL = 0.005
 """A focal length counts as changed if it differs by more than this share."""
 LEAST_BORDER = 0.001
 """Distortion counts as changed if it moves the corner of the image by more than this share of the image width."""
-LEAST_DEG, LEAST_DISTANCE = 0.5, 0.02
-"""Poses count as changed if two cameras' relative rotation (degrees) or distance (share of the mean distance) changes by more."""
+LEAST_TURN = 0.5
+"""Poses count as changed if the relative rotation of two cameras changes by more than this, in degrees."""
+LEAST_SHIFT = 0.02
+"""Poses count as changed if the distance of two cameras changes by more than this share of the mean distance."""
 
 
 Lenses = Mapping[str, tuple[Lens, Mapping[str, Any]]]
@@ -87,53 +111,73 @@ def calibration_change(pinned: Mapping[str, Mapping[str, Any]], site: Site) -> s
     Relative poses are compared, so that the coordinate system and scale of the pinned world do not matter.  Poses that are stated
     with standard deviations were refined by the pinned run, and are not compared.
     """
-    lenses = {c.id: (c.lens, pinned[c.id]) for c in site.cameras if c.lens.K is not None and pinned.get(c.id, {}).get("K")}
-    exact = {c.id: c.placement for c in site.cameras if max(c.placement.sigma_m, c.placement.sigma_deg) == 0}
-    posed = {name: place for name, place in exact.items() if place.R and place.C and pinned.get(name, {}).get("R")}
-    old_poses = [(pinned[name]["R"], pinned[name]["C"]) for name in posed]
-    new_poses = [(place.R, place.C) for place in posed.values()]
+    lenses: dict[str, tuple[Lens, Mapping[str, Any]]] = {}
+    old_poses = []
+    new_poses = []
+    for camera in site.cameras:
+        old = pinned.get(camera.id, {})
+        if camera.lens.K is not None and old.get("K"):
+            lenses[camera.id] = (camera.lens, old)
+        place = camera.placement
+        is_exact = max(place.sigma_m, place.sigma_deg) == 0
+        if is_exact and place.R and place.C and old.get("R"):
+            old_poses.append((old["R"], old["C"]))
+            new_poses.append((place.R, place.C))
     texts = [_focal_changes(lenses, site), _distortion_changes(lenses, site), _pose_changes(old_poses, new_poses)]
     return "; ".join(filter(None, texts))
+
+
+def _focal_changes(lenses: Lenses, site: Site) -> str:
+    """The focal lengths that have changed, as text; "" if none has.  They are compared in image widths."""
+    percents: dict[str, float] = {}
+    for name, (lens, old) in lenses.items():
+        assert lens.K is not None
+        old_width = old["width"]
+        width = lens.width or old_width
+        change = float(lens.K[0][0]) / width / (float(old["K"][0][0]) / float(old_width)) - 1
+        if abs(change) > LEAST_FOCAL:
+            percents[name] = 100 * change
+    if not percents:
+        return ""
+    least = min(percents.values())
+    most = max(percents.values())
+    if most - least < 0.1:  # the same once rounded
+        amount = f"{most:+.1f} %"
+    else:
+        amount = f"{least:+.1f} to {most:+.1f} %"
+    return f"focal lengths of {_names_of(percents, site)} by {amount}"
+
+
+def _distortion_changes(lenses: Lenses, site: Site) -> str:
+    """The lenses whose distortion has changed, as text; "" if none has."""
+    shifts: dict[str, float] = {}
+    is_stated = False
+    for name, (lens, old) in lenses.items():
+        shift = _corner_shift(lens, old)
+        if shift > LEAST_BORDER:
+            shifts[name] = shift
+            is_stated = is_stated or any(lens.distortion)
+    if not shifts:
+        return ""
+    note = "" if is_stated else " (there is none any more)"
+    return f"distortion of {_names_of(shifts, site)} by up to {100 * max(shifts.values()):.1f} % of the width{note}"
 
 
 def _names_of(cameras: Mapping[str, float], site: Site) -> str:
     return "all cameras" if len(cameras) == len(site.cameras) else ", ".join(cameras)
 
 
-def _focal_changes(lenses: Lenses, site: Site) -> str:
-    percents: dict[str, float] = {}
-    for name, (lens, old) in lenses.items():
-        assert lens.K is not None
-        width, old_width = lens.width or old["width"], old["width"]
-        change = float(lens.K[0][0]) / width / (float(old["K"][0][0]) / float(old_width)) - 1
-        if abs(change) > LEAST_FOCAL:
-            percents[name] = 100 * change
-    if not percents:
-        return ""
-    least, most = min(percents.values()), max(percents.values())
-    amount = f"{most:+.1f} %" if most - least < 0.1 else f"{least:+.1f} to {most:+.1f} %"
-    return f"focal lengths of {_names_of(percents, site)} by {amount}"
-
-
-def _distortion_changes(lenses: Lenses, site: Site) -> str:
-    shifts = {name: _corner_shift(lens, old) for name, (lens, old) in lenses.items()}
-    changes = {name: shift for name, shift in shifts.items() if shift > LEAST_BORDER}
-    if not changes:
-        return ""
-    note = "" if any(any(lenses[name][0].distortion) for name in changes) else " (there is none any more)"
-    return f"distortion of {_names_of(changes, site)} by up to {100 * max(changes.values()):.1f} % of the width{note}"
-
-
 def _corner_shift(lens: Lens, old: Mapping[str, Any]) -> float:
     """Return how far the image corner moves, as a share of the width; 1 if the model or a non-Brown coefficient differs."""
-    K, width, height = old["K"], float(old["width"]), float(old["height"])
     if lens.model != str(old.get("model") or "brown"):
         return 1.0
     if lens.model != "brown":
         return float(list(lens.distortion) != list(old.get("distortion") or lens.distortion))
-    radius = math.hypot(width, height) / 2 / float(K[0][0])
+    focal = float(old["K"][0][0])
+    width = float(old["width"])
+    radius = math.hypot(width, float(old["height"])) / 2 / focal
     shift = _radial_shift(lens.distortion, radius) - _radial_shift(old.get("distortion") or (), radius)
-    return abs(shift) * float(K[0][0]) / width
+    return abs(shift) * focal / width
 
 
 def _radial_shift(distortion: Sequence[float], radius: float) -> float:
@@ -148,16 +192,21 @@ def _pose_changes(old_poses: list[Any], new_poses: list[Any]) -> str:
 
     if len(new_poses) < 2:
         return ""
-    first, second = np.triu_indices(len(new_poses), 1)
-    rotations, distances = [], []
+    first, second = np.triu_indices(len(new_poses), 1)  # every pair of cameras once: (P,), (P,)
+    rotations = []
+    distances = []
     for poses in (old_poses, new_poses):
-        R, C = (np.array(values, dtype=float) for values in zip(*poses, strict=True))
-        rotations.append(R[second] @ R[first].transpose(0, 2, 1))
+        R = np.array([R for R, _ in poses], dtype=float)
+        C = np.array([C for _, C in poses], dtype=float)
+        rotations.append(R[second] @ R[first].transpose(0, 2, 1))  # (P, 3, 3)
         lengths = np.linalg.norm(C[second] - C[first], axis=1)
-        distances.append(lengths / (lengths.mean() or 1.0))
+        distances.append(lengths / (lengths.mean() or 1.0))  # (P,)
+    # the angle of a rotation from its trace: tr(A^T B) = 1 + 2 cos
     cosines = (np.sum(rotations[0] * rotations[1], axis=(1, 2)) - 1) / 2
     turn = np.degrees(np.arccos(np.clip(cosines, -1, 1))).max()
-    shift = abs(distances[1] - distances[0]).max() if len(first) > 1 else 0.0
-    if turn <= LEAST_DEG and shift <= LEAST_DISTANCE:
+    shift = 0.0  # a single distance is its own unit
+    if len(first) > 1:
+        shift = abs(distances[1] - distances[0]).max()
+    if turn <= LEAST_TURN and shift <= LEAST_SHIFT:
         return ""
     return f"poses by up to {turn:.1f} degrees and {100 * shift:.1f} % of the distance between cameras"

@@ -13,15 +13,19 @@ def restore_to_cache(work: WorkFolder, pinned: PinnedArtifact) -> bool:
 
     The caller holds the lock.  Raises OSError.
     """
-    path = work.receipt(pinned.task, pinned.key)
-    copies = sorted(work.pinned(path).parent.glob(f"{pinned.key}.*"), key=lambda p: p.suffix == path.suffix)
-    artifacts = [copy for copy in copies if copy.suffix != path.suffix]
+    receipt = work.receipt(pinned.task, pinned.key)
+    receipt_copy = work.pinned(receipt)
     try:
-        is_intact = read_checksummed(work.pinned(path), work.identity_of(path)) is not None
+        if read_checksummed(receipt_copy, work.identity_of(receipt)) is None:
+            return False
     except Damaged:
-        is_intact = False
-    if not is_intact or (pinned.digest and [sha256_of(copy)[:32] for copy in artifacts if copy.is_file()] != [pinned.digest]):
         return False
-    for copy in copies:  # the receipt last
-        write_atomic(path.with_suffix(copy.suffix), copy.read_bytes(), own_path=True)
+    artifact_copies = [path for path in receipt_copy.parent.glob(f"{pinned.key}.*") if path.suffix != receipt.suffix]
+    if pinned.digest:
+        digests = [sha256_of(path)[:32] for path in artifact_copies if path.is_file()]
+        if digests != [pinned.digest]:
+            return False
+    # the receipt last: a result exists from then on
+    for copy in (*artifact_copies, receipt_copy):
+        write_atomic(receipt.with_suffix(copy.suffix), copy.read_bytes(), own_path=True)
     return True

@@ -33,6 +33,7 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
         raise CannotPin(f"run {run.id} made no cloud: {reason}", remedy="pin a run that did: wbflow history SITE.yaml")
     stored_stages = {stage.name for stage in STAGES if stage.reuse.stored}
     receipts = []
+    # all or nothing: a reference that lacks some results would make later nights differ
     for task, event in run.tasks().items():
         if task.stage not in stored_stages or event.key is None:
             continue

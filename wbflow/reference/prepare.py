@@ -16,7 +16,9 @@ from .restore import restore
 
 def prepare(night: Night, journal: Journal) -> None:
     """Restore the results of the reference, and warn if it cannot be used.  The caller holds the lock."""
-    fault = repair_record(night.cache.work) if night.site.settings.pin != "none" else None
+    fault = None
+    if night.site.settings.pin != "none":
+        fault = repair_record(night.cache.work)
     if fault:
         journal.note_repair(fault)
     if night.reference_fault and not fault:
@@ -40,22 +42,33 @@ def repair_record(work: WorkFolder) -> str | None:
     If neither is intact, both are removed, so that the next good night is pinned.  The caller holds the lock.
     Raises OSError.
     """
-    record, twin = work.reference_record, work.reference_twin
-    intact, fault = None, None
+    record = work.reference_record
+    twin = work.reference_twin
+    source = None
+    fault = ""
     for path in (record, twin):
         try:
-            intact = intact or (path if read_record(path) else None)
+            if read_record(path):
+                source = path
+                break
         except BadReference as error:
             fault = error.what
-    if intact is None:
+    if source is None:
         for path in (record, twin):
             clear(path)
-        return f"{fault}, and so is its twin: the next good night becomes the reference" if fault else None
-    counterpart, data = (twin if intact is record else record), read_untrusted(intact)
+        if not fault:
+            return None  # there was no reference
+        return f"{fault}, and so is its twin: the next good night becomes the reference"
+
+    # the record decides if both are intact: it is written last
+    counterpart = twin if source is record else record
+    data = read_untrusted(source)
     with suppress(Unreadable):
         if read_untrusted(counterpart) == data:
             return None
-    fault = fault or f"{counterpart} is {'not as it was' if os.path.lexists(counterpart) else 'gone'}"
+    if not fault:
+        what = "not as it was" if os.path.lexists(counterpart) else "gone"
+        fault = f"{counterpart} is {what}"
     clear(counterpart)
     write_atomic(counterpart, data)
-    return f"{fault}: taken from {intact.name}"
+    return f"{fault}: taken from {source.name}"

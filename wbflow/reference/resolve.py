@@ -29,13 +29,14 @@ from .copies import restore_to_cache
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
 FEWEST = 2
-"""The reference is reused only if the poses of at least this many cameras are known from it."""
+"""The reference is reused only if the poses of at least this many cameras are known from it: a pair needs two."""
 
 SHIFTS_TYPE = "wbflow_stages.types:ShiftHistory"
 """The type in which a stage gets the shifts of earlier nights; its fields are lists of one number per night, oldest first."""
 SHIFTS = tuple(shift.name for shift in fields(ShiftHistory))
 """Fields of `SHIFTS_TYPE`; the figures of a camera's health have the same names."""
 MOST_NIGHTS = 14
+"""Largest number of earlier nights whose shifts a camera's health is judged by."""
 MOST_RUNS = 3 * MOST_NIGHTS
 """Largest number of run records to read: a night may have several runs."""
 
@@ -46,11 +47,13 @@ def shift_history(work: WorkFolder, night: str, reference: str) -> dict[str, dic
     night: only older nights count, so that a repeated run finds the same history.  reference: id of the reference's run.
     """
     runs = islice(newest_runs(work, after=reference), MOST_RUNS)
-    nights = last_of_nights((run for run in runs if run[1].date < night and run[1].reference == reference), MOST_NIGHTS)
+    comparable = ((folder, record) for folder, record in runs if record.date < night and record.reference == reference)
     history: dict[str, dict[str, list[float]]] = {}
-    for camera in (camera for record in nights for camera in record.cameras):
-        figures = camera.health.figures if camera.health else {}
-        if all(name in figures for name in SHIFTS):
+    for record in last_of_nights(comparable, MOST_NIGHTS):
+        for camera in record.cameras:
+            figures = camera.health.figures if camera.health else {}
+            if not all(name in figures for name in SHIFTS):
+                continue  # nothing was measured: the camera was obscured, say
             shifts = history.setdefault(camera.id, {name: [] for name in SHIFTS})
             for name in SHIFTS:
                 shifts[name].append(float(figures[name]))
@@ -93,14 +96,21 @@ class Resolver:
         if not need.joins:
             wanted = stored_input(need, task)
             return wanted.resolved(self._receipt(wanted.task))
-        pinned = [pinned for pinned in self.reference.artifacts if pinned.stage == need.name]
-        results = {upstream.subject: Stored(upstream, need.part).resolved(self._receipt(upstream)) for upstream in pinned}
-        return Joined({subject: result for subject, result in results.items() if result})
+        results: dict[Subject, Stored] = {}
+        for upstream in self.reference.artifacts:
+            if upstream.stage != need.name:
+                continue
+            stored = Stored(upstream, need.part).resolved(self._receipt(upstream))
+            if stored:
+                results[upstream.subject] = stored
+        return Joined(results)
 
     @cached_property
     def _shift_history(self) -> dict[str, dict[str, list[float]]]:
-        reference = self.reference
-        return shift_history(self.night.cache.work, str(self.night.date), reference.run) if reference else {}
+        """The shifts of all cameras; read once, and only if a task needs them."""
+        if self.reference is None:
+            return {}
+        return shift_history(self.night.cache.work, str(self.night.date), self.reference.run)
 
     def replacement(self, stage: Stage, task: Task) -> Receipt | Adapt | None:
         """What replaces the computation of a task: the reference's result, or another function; None for neither.
@@ -121,13 +131,18 @@ class Resolver:
 
     def state_of(self, camera: str) -> str:
         """The state of a view: its own if it shows nothing of the site, else that of its camera.  Raises Waiting."""
-        if health := self.night.stale.get(camera_of(camera)):
-            return health.state
+        stale = self.night.stale.get(camera_of(camera))
+        if stale:
+            return stale.state
         own_state = self._own_state(camera)
         if own_state in USELESS:
             return own_state
-        states = [own_state, *(self._own_state(view) for view in self._views[camera_of(camera)])]
-        return next((state for state in states if state not in USELESS | {"ok"}), "ok")
+        # what moved one view has moved all views of its camera; a view that shows nothing tells nothing of the others
+        states = [own_state] + [self._own_state(view) for view in self._views[camera_of(camera)]]
+        for state in states:
+            if state != "ok" and state not in USELESS:
+                return state
+        return "ok"
 
     def _own_state(self, view: str) -> str:
         """The state of a view, without that of other views of its camera.  Raises Waiting."""
@@ -135,8 +150,10 @@ class Resolver:
         state = self.states.get(task)
         if state is None:
             raise Waiting(task)
-        if health := self._healths.get(view):
+        health = self._healths.get(view)
+        if health:
             return health.state
+        # not examined: either there is no frame, or one that could not be compared
         frame = self.states.get(Task(FRAMES, (view,)))
         return "ok" if frame and frame.usable else "obscured"
 
@@ -145,11 +162,16 @@ class Resolver:
 
         Of several views, the first that shows the site and is not ok decides, else the first that shows it, else the first.
         """
-        if stale := self.night.stale.get(camera_of(camera)):
+        stale = self.night.stale.get(camera_of(camera))
+        if stale:
             return stale
         healths = [self._healths[view] for view in self._views[camera_of(camera)] if view in self._healths]
         useful = [health for health in healths if health.state not in USELESS]
-        return next((health for health in useful if not health.ok), next(iter(useful or healths), None))
+        for health in useful:
+            if not health.ok:
+                return health
+        candidates = useful or healths
+        return candidates[0] if candidates else None
 
     @cached_property
     def _views(self) -> dict[str, list[str]]:
@@ -175,7 +197,8 @@ class Resolver:
 
     def _unfit_error(self, view: str) -> Impossible:
         """Why a task is impossible: this view shows nothing of the site."""
-        if health := self._known_health(view):
+        health = self._known_health(view)
+        if health:
             return Impossible(f"camera {view} is {health.state}: {health.text}", Cause.UNFIT)
         frame = Task(FRAMES, (view,))
         return blocked_by(frame, self.states[frame])
@@ -199,14 +222,18 @@ class Resolver:
         self._poses_suffice = None
         if task.stage == HEALTH:
             self._healths.pop(task.subject[0], None)
-        reference = self.reference
+        if self.reference is None:
+            return
         cache = self.night.cache
-        if reference and (pinned := reference.artifacts.get(task)) and not cache.by_key(task, pinned.key):
-            if restore_to_cache(cache.work, pinned):
-                return
-            remaining = {t: p for t, p in reference.artifacts.items() if t != task}
-            self.reference = dataclasses.replace(reference, artifacts=remaining)
-            self._own_frames -= set(task.subject) if task.stage == FRAMES else set()
+        pinned = self.reference.artifacts.get(task)
+        if pinned is None or cache.by_key(task, pinned.key):
+            return  # it was another night's
+        if restore_to_cache(cache.work, pinned):
+            return
+        remaining = {other: result for other, result in self.reference.artifacts.items() if other != task}
+        self.reference = dataclasses.replace(self.reference, artifacts=remaining)
+        if task.stage == FRAMES:
+            self._own_frames -= set(task.subject)
 
     def _use(self, reuse: Reuse, task: Task) -> Literal["reuse", "recompute"] | Adapt | None:
         """How tonight uses the reference's result of a task: the poses of its cameras, or of all useful ones, decide."""
@@ -216,8 +243,12 @@ class Resolver:
         poses = {self._pose_state(camera) for camera in cameras}
         if "lost" in poses:
             none_moved = all(self.state_of(camera) == "ok" for camera in cameras)
-            return "reuse" if none_moved and self._is_pooled(task) else reuse.moved
-        return reuse.shifted if "turned" in poses else "reuse"
+            if none_moved and self._is_pooled(task):
+                return "reuse"
+            return reuse.moved
+        if "turned" in poses:
+            return reuse.shifted
+        return "reuse"
 
     def _is_pooled(self, task: Task) -> bool:
         """Is the reference's result of a pair pooled from many nights, or derived from one that is?
@@ -228,7 +259,9 @@ class Resolver:
         if receipt is None or len(task.subject) != 2:
             return False
         for stage in STAGES:
-            pooled = self._receipt(Task(stage.name, task.subject)) if stage.reuse.aggregate else None
+            if not stage.reuse.aggregate:
+                continue
+            pooled = self._receipt(Task(stage.name, task.subject))
             if pooled and pooled.preimage.function == stage.reuse.aggregate:
                 return pooled.digest in {receipt.digest, *receipt.preimage.inputs.values()}
         return False
@@ -238,16 +271,24 @@ class Resolver:
         if self.reference is None or camera_of(camera) not in self.reference.placed:
             return "lost"
         state = self.state_of(camera)
-        if any(health.corrected for view in self._views[camera_of(camera)] if (health := self._healths.get(view))):
-            return "turned"
+        for view in self._views[camera_of(camera)]:
+            health = self._healths.get(view)
+            if health and health.corrected:
+                return "turned"
         return "still" if state == "ok" else "lost"
 
     def _enough_poses_known(self) -> bool:
         """Are the poses of enough cameras known from the reference?  Raises Waiting."""
         if self._poses_suffice is None:
-            self._poses_suffice = len({camera_of(c) for c in self.cameras if self._pose_state(c) != "lost"}) >= FEWEST
+            known = {camera_of(view) for view in self.cameras if self._pose_state(view) != "lost"}
+            self._poses_suffice = len(known) >= FEWEST
         return self._poses_suffice
 
     def _receipt(self, task: Task) -> Receipt | None:
-        pinned = self.reference.artifacts.get(task) if self.reference else None
-        return self.night.cache.by_key(task, pinned.key) if pinned else None
+        """The receipt of a task's result in the reference; None if there is none."""
+        if self.reference is None:
+            return None
+        pinned = self.reference.artifacts.get(task)
+        if pinned is None:
+            return None
+        return self.night.cache.by_key(task, pinned.key)

@@ -24,8 +24,12 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
     for task, pinned in reference.artifacts.items():
         receipt = cache.by_key(task, pinned.key)
         if receipt is None:
-            (to_cache if restore_to_cache(work, pinned) else lost).append(task)
-        elif _copy_differs(cache, receipt) and (receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest):
+            if restore_to_cache(work, pinned):
+                to_cache.append(task)
+            else:
+                lost.append(task)
+        # the digest last: it reads the whole artifact
+        elif _copy_differs(cache, receipt) and _is_intact(cache, receipt):
             for path in files_of(cache, receipt):
                 clear(work.pinned(path))
                 write_atomic(work.pinned(path), path.read_bytes(), own_path=True)
@@ -35,10 +39,16 @@ def restore(cache: Cache, reference: Reference) -> tuple[list[Task], list[Task],
 
 def _copy_differs(cache: Cache, receipt: Receipt) -> bool:
     """Quick check: is the reference's copy of a receipt or an artifact gone, or of another size?"""
-    work, path = cache.work, cache.work.receipt(receipt.preimage.task, receipt.key)
+    work = cache.work
+    path = work.receipt(receipt.preimage.task, receipt.key)
     try:
         if work.pinned(path).stat().st_size != path.stat().st_size:
             return True
         return receipt.file is not None and work.pinned(cache.path(receipt)).stat().st_size != receipt.bytes
     except OSError:
         return True
+
+
+def _is_intact(cache: Cache, receipt: Receipt) -> bool:
+    """Does the cache's artifact, if the task has one, have the digest that its receipt states?"""
+    return receipt.file is None or sha256_of(cache.path(receipt))[:32] == receipt.digest
