@@ -19,6 +19,7 @@ from .change.cloud_distance import spacing_of
 from .change.clusters import ChangeCluster, GroundPoints, find_clusters, paired, points_over_ground
 from .change.evidence import Epoch, Evidence, compare_nights, mark_changed, noise_of, seen_by
 from .change.volumes import detection_of, is_large_for, volumes
+from .contracts.ground_figures import UsedIds
 from .core.cameras import camera_id, project
 from .core.ground_grid import grid_over, ground_axes, inside_polygon, preferred_above, quantile_by_cell
 from .core.residual_distortion import undistorted_frames
@@ -70,6 +71,8 @@ def find_changes(
     reference_depths: Mapping[str, DepthMap] | None = None,
     reference_refined: Mapping[str, DepthMap] | None = None,
     scene: Scene | None = None,
+    previous: Changes | None = None,
+    used_ids: UsedIds | None = None,
     *,
     zones: list[dict[str, Any]] | None = None,
     sigmas: float = 3.0,
@@ -86,6 +89,8 @@ def find_changes(
     reference_poses, reference_cloud, reference_frames, reference_depths, reference_refined : the reference's results; None, or
         empty: there is nothing to compare with.
     scene : the ground plane, if it is known.
+    previous : the result of the newest earlier night that was compared with the same reference; None if there is none.
+    used_ids : ids that other nights gave, and that are not given again; None for none.
     zones : only changes whose centre lies in one of these zones count; each is a mapping of name, polygon (corners x, y on the
         ground) and least_m (smallest length or height of a change that counts, metres).
     sigmas : a surface has changed if its distance exceeds this many standard deviations.
@@ -112,7 +117,8 @@ def find_changes(
     grid = grid_over(sample, axes, cell_m or preferred_above(_CELL * spacing))
     least_area = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     limits = _Limits(spacing, sigmas, registration_m, similar, least_area, zones or [])
-    found = _compared(tonight, pinned, grid, limits)
+    given = max(previous.highest_id if previous is not None else 0, used_ids.highest if used_ids is not None else 0)
+    found = _compared(tonight, pinned, grid, limits, given)
     return replace(found, metric=poses.metric, crs=poses.crs)
 
 
@@ -129,8 +135,8 @@ class _Limits:
     zones: list[dict[str, Any]]
 
 
-def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits) -> Changes:
-    """The changes between two nights in one world."""
+def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, given: int) -> Changes:
+    """The changes between two nights in one world; given: number of the highest id that other nights gave."""
     # 1. Which points of each night have changed?
     measured_new, measured_old = compare_nights(tonight, pinned, limits.spacing, limits.registration)
     noise = noise_of(measured_new, measured_old)
@@ -174,7 +180,7 @@ def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits) 
         labelled = _in_zone(cluster, limits.zones, grid.axes)
         if labelled is not None:
             reported.append((labelled, source))
-    found = _assembled(grid, height_tonight - height_before, (new, old), reported)
+    found = _assembled(grid, height_tonight - height_before, (new, old), reported, given)
     return replace(found, cut_fill=total, zones=by_zone, noise=noise)
 
 
@@ -229,28 +235,33 @@ def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]], axes: Float64s
 
 
 def _assembled(
-    grid: GroundGrid, difference: Float32s, sides: tuple[_Side, _Side], clusters: list[tuple[ChangeCluster, ChangeCluster | None]]
+    grid: GroundGrid,
+    difference: Float32s,
+    sides: tuple[_Side, _Side],
+    clusters: list[tuple[ChangeCluster, ChangeCluster | None]],
+    given: int,
 ) -> Changes:
     """`Changes` with tonight's points and the reference's vanished or unknown ones; clusters: each with its origin, if moved."""
     new = sides[0].evidence
     old = sides[1].evidence
-    # Number of the change that each point of a night belongs to, 0 for none.
+    # Number in the id of the change that each point of a night belongs to, 0 for none.
     new_blob = np.zeros(len(new.core), np.uint16)
     old_blob = np.zeros(len(old.core), np.uint16)
     changes = {}
     crops = {}
-    for k, (cluster, source) in enumerate(clusters, 1):
+    for number, (cluster, source) in enumerate(clusters, given + 1):
         for part in (cluster, source):
             if part is not None:
                 blob = old_blob if part.vanished else new_blob
-                blob[part.rows] = k
+                blob[part.rows] = number
         # Cameras that see it are those of the night in which it was there.
         side = sides[1] if cluster.vanished else sides[0]
         names = _seeing_cameras(side, cluster)
         camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
-        changes[str(k)] = replace(cluster.change, cameras=",".join(camera_ids))
+        name = f"C{number}"
+        changes[name] = replace(cluster.change, id=name, cameras=",".join(camera_ids))
         if names:
-            crops[str(k)] = _crop(side.evidence.core[cluster.rows], names[0], sides)
+            crops[name] = _crop(side.evidence.core[cluster.rows], names[0], sides)
     appeared = new_blob > 0
     vanished = old_blob > 0
     shown = vanished | (old.unknown & ~old.changed)
@@ -277,6 +288,7 @@ def _assembled(
         grid=grid,
         difference=difference,
         crops=crops,
+        highest_id=given + len(clusters),
         count=len(changes),
         changed_share=n_changed / max(1, n_known),
         unknown_share=float(np.mean(old.unknown)),

@@ -132,7 +132,16 @@ def _cut_and_fill(
     gained, gained_sigma = _volume(new, inside, grid, detection)
     lost, lost_sigma = _volume(vanished, inside, grid, detection)
     area = float((seen & inside).sum() * grid.cell**2)
-    return CutFill(gained, gained_sigma, lost, lost_sigma, detection.level, detection.common_sigma, area, float(unseen))
+    return CutFill(
+        gained=gained,
+        gained_sigma=gained_sigma,
+        lost=lost,
+        lost_sigma=lost_sigma,
+        level=detection.level,
+        common_sigma=detection.common_sigma,
+        area=area,
+        unseen=float(unseen),
+    )
 
 
 def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:

@@ -67,9 +67,9 @@ class Change(Record):
     area: float = 0.0
     """Ground area that it covers."""
     volume: float = 0.0
-    """Volume between its surface and what was, or is now, below it."""
+    """Volume between its seen surface and what was, or is now, below it."""
     volume_sigma: float = 0.0
-    """Standard deviation of the volume."""
+    """Standard deviation of this volume; what nobody sees is not in it: see `volume_most`."""
     significance: float = 0.0
     """Median over its points of distance over standard deviation."""
     likeness: float = -2.0
@@ -83,6 +83,16 @@ class Change(Record):
     """Where a moved thing was (from_x, from_y, from_z)."""
     from_y: float = 0.0
     from_z: float = 0.0
+    id: str = ""
+    """Its name for life, "C17"; no other thing of the site has or had it."""
+    nights: int = 1
+    """Number of nights on which it was measured, tonight's included."""
+    seen: bool = True
+    """False: tonight knows nothing of its place, and it is carried on from earlier nights."""
+    volume_least: float = 0.0
+    """Volume that it has at least (with 97.5 % certainty)."""
+    volume_most: float = 0.0
+    """Volume that it has at most: with what the cameras do not see but cannot exclude either."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,11 @@ class CutFill(Record):
     lost: float = 0.0
     """Volume removed by changes."""
     lost_sigma: float = 0.0
+    gained_least: float = 0.0
+    """Volume that was added at least, and at most (95 %), as for `Change.volume_least`; areas that nobody saw are not in it."""
+    gained_most: float = 0.0
+    lost_least: float = 0.0
+    lost_most: float = 0.0
     level: float = 0.0
     """Level of detection, median: surfaces closer to each other than this count as the same."""
     common_sigma: float = 0.0
@@ -125,4 +140,12 @@ class ChangesFigures(Record):
     zones: Mapping[str, CutFill] = field(default_factory=dict)
     """Volumes of each zone, by name."""
     changes: Mapping[str, Change] | None = None
-    """Changes by number, "1" and so on, the largest first."""
+    """Changes by id ("C17"), the largest first."""
+
+
+@dataclass(frozen=True)
+class UsedIds(Record):
+    """Ids of changes that must not be given again."""
+
+    highest: int = 0
+    """Number of the highest id that any earlier night has (17 for C17), whatever its reference; 0 for none."""

@@ -188,15 +188,15 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     }
     yield "changes.ply", columns
     yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
-    for number, image in changes.crops.items():
-        yield f"change-{number}.jpg", jpeg(image, _QUALITY).tobytes()
+    for name, image in changes.crops.items():
+        yield f"change-{name}.jpg", jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
         yield "changes.tif", _map_geotiff(changes.grid, changes.difference, layers, changes.crs)
 
 
 def changes_data(changes: Changes) -> dict[str, Any]:
-    """Content of changes.json: the changes with their numbers, volumes of the site and its zones, changed and unknown shares."""
+    """Content of changes.json: the changes with their ids, volumes of the site and its zones, changed and unknown shares."""
     data: dict[str, Any] = {
         "unit": "m" if changes.metric else "arbitrary",
         "changed_share": round(changes.changed_share, 5),
@@ -206,14 +206,14 @@ def changes_data(changes: Changes) -> dict[str, Any]:
     if changes.cut_fill:
         data["cut_fill"] = _volumes(changes.cut_fill)
     data["zones"] = {name: _volumes(zone) for name, zone in changes.zones.items()}
-    data["changes"] = [_change_entry(number, change, number in changes.crops) for number, change in changes.changes.items()]
+    data["changes"] = [_change_entry(name, change, name in changes.crops) for name, change in changes.changes.items()]
     return data
 
 
-def _change_entry(number: str, change: Change, has_picture: bool) -> dict[str, Any]:
+def _change_entry(name: str, change: Change, has_picture: bool) -> dict[str, Any]:
     """One change of changes.json; entries that do not apply to it are left out."""
     entry: dict[str, Any] = {
-        "number": int(number),
+        "id": name,
         "kind": change.kind,
         "position": [round(change.x, 3), round(change.y, 3), round(change.z, 3)],
         "length": round(change.length, 3),
@@ -222,6 +222,10 @@ def _change_entry(number: str, change: Change, has_picture: bool) -> dict[str, A
         "area": round(change.area, 3),
         "volume": round(change.volume, 3),
         "volume_sigma": round(change.volume_sigma, 3),
+        "volume_least": round(change.volume_least, 3),
+        "volume_most": round(change.volume_most, 3),
+        "nights": change.nights,
+        "seen": change.seen,
         "significance": round(change.significance, 3),
         "points": round(change.points, 3),
     }
@@ -233,7 +237,7 @@ def _change_entry(number: str, change: Change, has_picture: bool) -> dict[str, A
     if change.kind == "moved":
         entry["from"] = [round(change.from_x, 3), round(change.from_y, 3), round(change.from_z, 3)]
     if has_picture:
-        entry["picture"] = f"change-{number}.jpg"
+        entry["picture"] = f"change-{name}.jpg"
     return entry
 
 
@@ -243,7 +247,7 @@ def _volumes(part: CutFill) -> dict[str, float]:
 
 
 def changes_preview(changes: Changes) -> Uint8s:
-    """Height differences from above with circled, numbered changes, and images before and after, as the bytes of a JPEG file."""
+    """Height differences from above with circled, labelled changes, and images before and after, as the bytes of a JPEG file."""
     if not changes.compared or not changes.grid.rows:
         return jpeg(np.full((40, 480, 3), 24, np.uint8), _QUALITY)
     # 1. height differences: white where nothing changed, towards red where raised, towards blue where lowered
@@ -259,8 +263,8 @@ def changes_preview(changes: Changes) -> Uint8s:
 
     # 2. images of the first changes below, padded to one width
     panels = [image]
-    for number, crop in list(changes.crops.items())[:_MOST_CROPS]:
-        panels.append(_with_number(crop, number))
+    for name, crop in list(changes.crops.items())[:_MOST_CROPS]:
+        panels.append(_with_label(crop, name))
     width = max(panel.shape[1] for panel in panels)
     padded = []
     for panel in panels:
@@ -269,21 +273,21 @@ def changes_preview(changes: Changes) -> Uint8s:
 
 
 def _mark(image: Uint8s, changes: Changes) -> None:
-    """Draw a circle and the number of each change into a plan of the grid."""
+    """Draw a circle and the id of each change into a plan of the grid."""
     grid = changes.grid
     scale = image.shape[1] / grid.columns
-    for number, change in changes.changes.items():
+    for name, change in changes.changes.items():
         east, north, _ = grid.axes @ (change.x, change.y, change.z)
         x = (east - grid.left) / grid.cell * scale
         y = (grid.top - north) / grid.cell * scale
         radius = max(6.0, 0.6 * np.hypot(change.length, change.width) / grid.cell * scale)
         cv2.circle(image, (round(x), round(y)), round(radius), (20, 20, 20), 2, cv2.LINE_AA)
-        cv2.putText(image, number, (round(x + radius), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
+        cv2.putText(image, name, (round(x + radius), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
 
 
-def _with_number(crop: Uint8s, number: str) -> Uint8s:
-    """The picture with its number in white on a black outline, which shows on any background."""
+def _with_label(crop: Uint8s, label: str) -> Uint8s:
+    """The picture with a label in white on a black outline, which shows on any background."""
     labelled = crop.copy()
-    cv2.putText(labelled, number, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
-    cv2.putText(labelled, number, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
+    cv2.putText(labelled, label, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
+    cv2.putText(labelled, label, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
     return labelled

@@ -44,9 +44,9 @@ def camera_features(cameras: Mapping[str, Camera]) -> list[Feature]:
 def change_features(changes: Mapping[str, Change]) -> list[Feature]:
     """Return a feature for each change, at its centre."""
     features = []
-    for name, change in changes.items():
+    for change in changes.values():
         centre = np.array([change.x, change.y, change.z])
-        features.append(Feature(centre, {"change": name, **vars(change)}))
+        features.append(Feature(centre, dict(vars(change))))
     return features
 
 

@@ -78,7 +78,7 @@ class Changes(Record):
     compared: bool
     """False if there is nothing to compare with."""
     changes: Mapping[str, Change]
-    """Changes by number, "1" and so on, the largest first."""
+    """Changes by id ("C17"), the largest first."""
     points: Float64s
     """(n, 3) points of tonight, and those of the reference that have vanished or are unknown, thinned."""
     colors: Uint8s
@@ -93,12 +93,12 @@ class Changes(Record):
     label: Uint8s
     """(n,) `SAME`, `NEW`, `VANISHED` or `UNKNOWN`."""
     blob: Uint16s
-    """(n,) number of the change that the point belongs to, 0: none."""
+    """(n,) number of the change that the point belongs to (17 for C17), 0: none."""
     grid: GroundGrid
     difference: Float32s
     """(rows, columns) height of tonight's surface minus the reference's; nan where one is unknown."""
     crops: Mapping[str, Uint8s] = field(default_factory=dict)
-    """By number of the change: (h, w, 3) the reference's and tonight's picture side by side, by the camera that sees it best."""
+    """By id of the change: (h, w, 3) the reference's and tonight's picture side by side, by the camera that sees it best."""
     count: int = 0
     """Number of changes."""
     changed_share: float = 0.0
@@ -111,6 +111,8 @@ class Changes(Record):
     """Volumes of each zone, by name."""
     noise: float = 1.0
     """Factor by which distances without a change exceed the points' own standard deviations."""
+    highest_id: int = 0
+    """Number of the highest id that was given up to this night (17 for C17): ids are never given again."""
     metric: bool = True
     crs: str = ""
     """`metric` and `crs`: see `Poses`."""

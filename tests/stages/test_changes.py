@@ -30,8 +30,8 @@ def compared(tonight: BoxNight, then: BoxNight, **parameters: Any) -> Changes:
 
 
 def only_change(found: Changes) -> Change:
-    assert list(found.changes) == ["1"]
-    return found.changes["1"]
+    assert list(found.changes) == ["C1"]
+    return found.changes["C1"]
 
 
 def assert_matches_box(change: Change, box: Box) -> None:
@@ -211,14 +211,14 @@ def test_a_night_solved_in_another_frame_is_not_compared() -> None:
 def test_changes_are_written_as_cloud_json_and_pictures() -> None:
     found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
     files: dict[str, Any] = dict(changes_files(found))
-    assert list(files) == ["changes.ply", "changes.json", "change-1.jpg"]
+    assert list(files) == ["changes.ply", "changes.json", "change-C1.jpg"]
     reported = json.loads(files["changes.json"])
     (row,) = reported["changes"]
-    assert (row["number"], row["kind"], row["picture"]) == (1, "new", "change-1.jpg")
+    assert (row["id"], row["kind"], row["picture"]) == ("C1", "new", "change-C1.jpg")
     assert np.linalg.norm(np.subtract(row["position"], (2.9, -1.8, 0.45))) < 0.15
     columns = files["changes.ply"]
     assert {len(column) for column in columns.values()} == {len(found.points)}
-    crop = cv2.imdecode(np.frombuffer(files["change-1.jpg"], np.uint8), 1)
+    crop = cv2.imdecode(np.frombuffer(files["change-C1.jpg"], np.uint8), 1)
     assert crop is not None
     half = crop.shape[1] // 2 - 8
     assert np.abs(crop[:, :half].astype(float) - crop[:, -half:]).mean() > 5  # the two nights differ

@@ -73,9 +73,10 @@ Condition = Callable[[Any], bool]
 class Source:
     """Where an input of a stage comes from."""
 
-    kind: Literal["stage", "site", "file", "reference", "history"]
+    kind: Literal["stage", "site", "file", "reference", "history", "previous"]
     """Another stage; the site file or the captures; a file that the stage's section names; a stage's result in the reference's
-    night (None or an empty mapping if there is no reference, or if tonight is the reference's night); earlier nights."""
+    night (None or an empty mapping if there is no reference, or if tonight is the reference's night); earlier nights; the same
+    stage's result on the newest earlier night with the same reference."""
     name: str
     """Name of the stage, or of the input from the site."""
     of: Of = "own"
@@ -226,6 +227,7 @@ _REFERENCE_SURFACE = {
     "reference_depths": reference("depth", of="every"),
     "reference_refined": reference("refine", of="every"),
 }
+_PREVIOUS_CHANGES = {"previous": Source("previous", "changes"), "used_ids": Source("previous", "used_ids")}
 _PAIR_KEYS = ("pairs.degree", "pairs.min_angle", "pairs.max_angle", "pairs.include", "pairs.exclude")
 _ALWAYS_REUSED = Reuse(shifted="reuse", moved="reuse")
 """For results that do not depend on the orientation of single cameras."""
@@ -498,7 +500,7 @@ STAGES: tuple[Stage, ...] = (
         "changes",
         scope="site",
         function="wbflow_stages.changes:find_changes",
-        inputs={"poses": own("poses"), "cloud": own("fuse"), **_SURFACE, **_REFERENCE_SURFACE},
+        inputs={"poses": own("poses"), "cloud": own("fuse"), **_SURFACE, **_REFERENCE_SURFACE, **_PREVIOUS_CHANGES},
         optional=True,
         site_keys=("zones",),
         reuse=Reuse(stored=False),
