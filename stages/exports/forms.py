@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..io.rasters import geotiff, pfm, png, stepped, world_file
+from ..io.rasters import geotiff, pfm, png, stepped
 from ..types import Changes, Cloud, DepthMap, Frame, Geometry, Poses
 
 if TYPE_CHECKING:
@@ -54,19 +54,20 @@ def e57(cloud: Cloud, poses: Poses) -> Files:
 
 
 def heights(cloud: Cloud, poses: Poses) -> Files:
-    """heights.tif if the site is georeferenced, else heights.png with its world file, heights.pfm and heights.json."""
-    from .heights import height_map, plain_files
+    """heights.tif, in map coordinates if the site is georeferenced, else in the site's own."""
+    from .heights import height_map
 
     points = cloud.points.astype(np.float64)
     georeference = _georeference(poses)
+    epsg = None
+    words = "height above the site's origin"
     if georeference is not None:
-        raster = height_map(georeference.points(points))
-        band_names = ["height above the ellipsoid, metres"]
-        yield "heights.tif", geotiff(raster.heights[None], raster.left, raster.top, raster.cell, georeference.epsg, band_names)
-        return
-    files, metadata = plain_files(height_map(points))
-    yield from files.items()
-    yield "heights.json", _json(metadata | {"unit": _unit(poses), "first_row": "largest y"})
+        points = georeference.points(points)
+        epsg = georeference.epsg
+        words = "height above the ellipsoid"
+    raster = height_map(points)
+    unit = "m" if poses.metric else ""
+    yield "heights.tif", geotiff(raster.heights[None], raster.left, raster.top, raster.cell, epsg, [words], unit)
 
 
 def depth(poses: Poses, depths: Mapping[str, DepthMap]) -> Files:
@@ -102,30 +103,37 @@ def mesh(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
 
 
 def orthophoto(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame]) -> Files:
-    """orthophoto.tif if the site is georeferenced, else orthophoto.png with its world file."""
+    """orthophoto.tif, in map coordinates if the site is georeferenced, else in the site's own."""
     from .mesh import poisson_mesh, textured
     from .orthophoto import orthophoto as seen_from_above
 
     georeference = _georeference(poses)
     textured_mesh = textured(poisson_mesh(cloud, coarser=1), poses.main_cameras(), frames)
     photo = seen_from_above(textured_mesh, georeference)
-    if georeference is not None:
-        bands = np.moveaxis(photo.image, 2, 0)  # (3, h, w)
-        yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, georeference.epsg)
-    else:
-        yield "orthophoto.png", png(photo.image)
-        yield "orthophoto.pgw", world_file(photo.left, photo.top, photo.cell)
+    epsg = georeference.epsg if georeference is not None else None
+    bands = np.moveaxis(photo.image, 2, 0)  # (4, h, w)
+    yield "orthophoto.tif", geotiff(bands, photo.left, photo.top, photo.cell, epsg)
 
 
-def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: Mapping[str, Geometry]) -> Files:
-    """colmap/sparse/*.txt and colmap/images/<camera>.png of the main component.
+def colmap(
+    cloud: Cloud,
+    poses: Poses,
+    frames: Mapping[str, Frame],
+    geometries: Mapping[str, Geometry],
+    depths: Mapping[str, DepthMap],
+) -> Files:
+    """colmap/: a dense workspace of COLMAP of the main component.
+
+    sparse/*.txt, images/<camera>.png, and the whole cloud as fused.ply, with the images that see each point in fused.ply.vis.
 
     Parameters
     ----------
-    cloud, poses : the cloud, whose points follow those of the tracks in the model, and the camera poses.
+    cloud, poses : the cloud, whose points, thinned, follow those of the tracks in the sparse model, and the camera poses.
     frames, geometries : frames by camera, and geometries by "left--right", whose inliers become tracks.
+    depths : depth maps by camera, which tell what each image sees.
     """
     from .colmap import colmap_files
+    from .colmap_dense import fused_files
 
     cameras = poses.main_cameras()
     # pairs that the solution of the whole site contradicts would join wrong points to tracks
@@ -136,6 +144,8 @@ def colmap(cloud: Cloud, poses: Poses, frames: Mapping[str, Frame], geometries: 
         if name not in frames:
             raise ValueError(f"there is no frame of {name}")
         yield f"colmap/images/{name}.png", png(frames[name].image)
+    for name, data in fused_files(cloud, cameras, depths).items():
+        yield f"colmap/{name}", data
 
 
 def geojson(poses: Poses, changes: Changes | None) -> Files:

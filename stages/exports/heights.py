@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.ground_grid import extent, preferred_above
-from ..io.rasters import pfm, png, stepped, world_file
 from ..types import Float32s, Float64s
 
 MOST_CELLS = 50_000_000
@@ -77,18 +76,3 @@ def spacing(points: Float64s) -> float:
     if len(points) <= 1:
         return 1.0
     return float(np.median(distances[:, 1]))
-
-
-def plain_files(heights: HeightMap) -> tuple[dict[str, bytes], dict[str, float | int]]:
-    """heights.pfm, heights.png with its world file, and the metadata needed to read them.
-
-    PNG: 0 is unknown, else height = (value - 1) / png_steps_per_unit + png_lowest.
-    """
-    known = heights.heights[np.isfinite(heights.heights)]
-    lowest = float(known.min())
-    values, steps = stepped(heights.heights, lowest)
-    rows, columns = heights.heights.shape
-    metadata = {"left": heights.left, "top": heights.top, "cell": heights.cell, "rows": rows, "columns": columns}
-    metadata |= {"png_lowest": lowest, "png_steps_per_unit": steps, "points_left_out": heights.left_out}
-    world = world_file(heights.left, heights.top, heights.cell)
-    return {"heights.pfm": pfm(heights.heights), "heights.png": png(values), "heights.pgw": world}, metadata

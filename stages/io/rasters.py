@@ -38,34 +38,31 @@ def pfm(values: Float32s) -> bytes:
     return header + np.where(np.isnan(values), np.inf, values).astype("<f4")[::-1].tobytes()
 
 
-def world_file(left: float, top: float, cell: float) -> bytes:
-    """The world file of a map, for GIS programs: it gives the centre of the first cell.
-
-    left, top: x and y of that cell's outer corner.  cell: the edge of a cell.
-    """
-    lines = (cell, 0.0, 0.0, -cell, left + cell / 2, top - cell / 2)
-    return "".join(f"{value!r}\n" for value in map(float, lines)).encode()
-
-
-def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg: int, words: Sequence[str] = ()) -> bytes:
+def geotiff(
+    bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg: int | None, words: Sequence[str] = (), unit: str = ""
+) -> bytes:
     """GeoTIFF of a map.
+
+    A map in a site's own coordinates has no coordinate system, not an engineering one: programs draw the former where its numbers
+    say, and refuse the latter, since no transformation leads from it to the project's system (GDAL issue 10820).
 
     Parameters
     ----------
     bands : (bands, rows, columns) float32, nan where unknown, or (4, rows, columns) uint8 RGBA.
     left, top : x and y of the outer corner of the first cell.
     cell : edge of a cell.
-    epsg : EPSG code of the coordinate system.
+    epsg : EPSG code of the coordinate system, or None.
     words : description of each float32 band.
+    unit : of the values of the float32 bands; "" if it is unknown.
     """
-    from rasterio.crs import CRS  # imported here: only georeferenced sites need it
+    from rasterio.crs import CRS  # imported here: an optional dependency of these exports only
     from rasterio.enums import ColorInterp
     from rasterio.io import MemoryFile
     from rasterio.transform import Affine
 
     count, rows, columns = bands.shape
     layout = {"driver": "GTiff", "width": columns, "height": rows, "count": count, "dtype": bands.dtype.name}
-    layout |= {"crs": CRS.from_epsg(epsg), "transform": Affine(cell, 0.0, left, 0.0, -cell, top)}
+    layout |= {"crs": CRS.from_epsg(epsg) if epsg else None, "transform": Affine(cell, 0.0, left, 0.0, -cell, top)}
     picture = bands.dtype == np.uint8
     # predictor 2 is TIFF's for integers, 3 that for floating-point numbers
     options: dict[str, Any] = {"nodata": float("nan"), "predictor": 3}
@@ -79,6 +76,7 @@ def geotiff(bands: npt.NDArray[Any], left: float, top: float, cell: float, epsg:
             for k, description in enumerate(words, 1):
                 file.write(bands[k - 1], k)
                 file.set_band_description(k, description)
+                file.set_band_unit(k, unit)
         return bytes(memory.read())
 
 

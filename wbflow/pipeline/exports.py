@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 _CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
+_DEPTHS = ("refine", "depth")
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,8 @@ EXPORTS: tuple[Export, ...] = (
         extra_on_the_map="geo",
     ),
     Export("e57", "The cloud as E57, on the map like LAZ; intensity is the confidence.", extra="e57"),
-    Export("heights", "Heights seen from above: GeoTIFF where the site is on the map, else PNG and PFM.", extra_on_the_map="geo"),
-    Export("depth", "Depth map of each camera: 16-bit PNG and PFM.", {"poses": _POSES, "depths": ("refine", "depth")}),
+    Export("heights", "Heights seen from above as GeoTIFF, on the map like LAZ.", extra="geo"),
+    Export("depth", "Depth map of each camera: 16-bit PNG and PFM.", {"poses": _POSES, "depths": _DEPTHS}),
     Export(
         "mesh",
         "The surface through the cloud (Poisson): PLY, and OBJ with the photographs on it.",
@@ -59,9 +60,9 @@ EXPORTS: tuple[Export, ...] = (
     ),
     Export(
         "orthophoto",
-        "The site from straight above: GeoTIFF, or PNG with its world file.",
+        "The site from straight above as GeoTIFF, on the map like LAZ.",
         {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES},
-        extra_on_the_map="geo",
+        extra="geo",
     ),
     Export(
         "geojson",
@@ -78,8 +79,8 @@ EXPORTS: tuple[Export, ...] = (
     ),
     Export(
         "colmap",
-        "Cameras, images and points as a COLMAP model.",
-        {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES, "geometries": ("geometry",)},
+        "Cameras, images, tracks and the whole cloud as a workspace of COLMAP.",
+        {"cloud": _CLOUD, "poses": _POSES, "frames": _FRAMES, "geometries": ("geometry",), "depths": _DEPTHS},
     ),
 )
 

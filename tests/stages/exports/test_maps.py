@@ -13,7 +13,7 @@ import pytest
 
 from tests.stages.exports.test_colmap import cloud_of
 from wbflow_stages.exports.forms import depth_files
-from wbflow_stages.exports.heights import height_map, plain_files
+from wbflow_stages.exports.heights import height_map
 from wbflow_stages.io.rasters import geotiff, stepped
 from wbflow_stages.types import DepthMap
 
@@ -51,22 +51,6 @@ def test_cells_of_two_nights_coincide_and_far_points_do_not_stretch_the_map() ->
     assert other.left_out == 1
     assert other.heights.shape[0] == one.heights.shape[0]
     assert other.heights.shape[1] < 1.2 * one.heights.shape[1]
-
-
-def test_png_and_pfm_contain_the_same_heights() -> None:
-    found = height_map(hill(count=500), cell=0.5)
-    files, reported = plain_files(found)
-    values = read_pfm(files["heights.pfm"], found.heights.shape)
-    png = cv2.imdecode(np.frombuffer(files["heights.png"], np.uint8), cv2.IMREAD_UNCHANGED)
-    assert png is not None
-    known = np.asarray(png > 0)
-    assert 0 < known.sum() < known.size
-    assert np.array_equal(known, np.isfinite(values))
-    read = (png[known] - 1.0) / reported["png_steps_per_unit"] + reported["png_lowest"]
-    assert np.abs(read - values[known]).max() <= 0.51 / reported["png_steps_per_unit"]
-    a, d, b, e, x, y = map(float, files["heights.pgw"].split())
-    assert (a, d, b, e) == (0.5, 0.0, 0.0, -0.5)
-    assert (x, y) == (reported["left"] + 0.25, reported["top"] - 0.25), "the middle of the first cell"
 
 
 @pytest.mark.parametrize("span", [1e-3, 0.7, 65.0, 66.0, 12_345.0])
@@ -216,14 +200,17 @@ def test_libe57_reads_the_cloud_back(crs: str, tmp_path: Path) -> None:
     assert e57_bytes(cloud, on_map) == data
 
 
-def test_rasterio_reads_the_geotiff_back() -> None:
+@pytest.mark.parametrize("epsg", [None, 32632])
+def test_rasterio_reads_the_geotiff_back(epsg: int | None) -> None:
     rasterio = pytest.importorskip("rasterio")
-    found = height_map(hill(count=3000) + np.array([565_000.0, 5_933_000.0, 0.0]), cell=0.5)
-    arguments = found.heights[None], found.left, found.top, found.cell, 32632, ["heights"]
+    far = np.array([565_000.0, 5_933_000.0, 0.0]) if epsg else np.array([-30.0, 12.0, 0.0])
+    found = height_map(hill(count=3000) + far, cell=0.5)
+    arguments = found.heights[None], found.left, found.top, found.cell, epsg, ["heights"], "m"
     data = geotiff(*arguments)
     with rasterio.MemoryFile(data) as memory, memory.open() as file:
-        assert file.crs.to_epsg() == 32632
+        assert (file.crs.to_epsg() if file.crs else None) == epsg
         assert np.array_equal(file.read(1), found.heights, equal_nan=True)
         assert file.xy(0, 0) == pytest.approx((found.left + 0.25, found.top - 0.25))
         assert math.isnan(file.nodata)
+        assert (file.descriptions, file.units) == (("heights",), ("m",))
     assert geotiff(*arguments) == data

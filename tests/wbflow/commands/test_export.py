@@ -74,6 +74,40 @@ def test_colmap_reads_the_exported_cameras_and_points(site: Path, exported: Path
     assert len(tracked) > 100 and model.compute_mean_reprojection_error() < 1.5
 
 
+def test_colmap_finds_the_whole_cloud_and_who_sees_it_where_its_own_fusion_writes_them(site: Path, exported: Path) -> None:
+    cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
+    fused = open3d.io.read_point_cloud(exported / "colmap" / "fused.ply")
+    assert np.array_equal(np.asarray(fused.points, np.float32), np.column_stack([cloud[axis] for axis in "xyz"]))
+    assert np.array_equal(np.rint(np.asarray(fused.colors)[:, 1] * 255), cloud["green"])
+    assert np.allclose(np.asarray(fused.normals)[:, 2], cloud["nz"])
+    images = pycolmap.Reconstruction(exported / "colmap" / "sparse").images
+    views = visible_images(exported / "colmap" / "fused.ply.vis")
+    assert len(views) == len(fused.points)
+    counts = np.array([len(seen) for seen in views])
+    assert np.mean(counts >= 2) > 0.9
+    for number in range(0, len(views), 997):
+        for index in views[number]:
+            image = images[int(index) + 1]
+            x = image.project_point(np.asarray(fused.points)[number])
+            assert x is not None and image.camera is not None
+            assert 0 <= x[0] <= image.camera.width and 0 <= x[1] <= image.camera.height
+
+
+def visible_images(path: Path) -> list[np.ndarray]:
+    """Indices of the images that see each point, from a file of COLMAP's."""
+    data = path.read_bytes()
+    (count,) = np.frombuffer(data[:8], "<u8")
+    entries = np.frombuffer(data[8:], "<u4")
+    views = []
+    start = 0
+    for _ in range(int(count)):
+        end = start + 1 + int(entries[start])
+        views.append(entries[start + 1 : end])
+        start = end
+    assert start == len(entries), "nothing is left over"
+    return views
+
+
 def test_depth_maps_are_close_to_the_truth(site: Path, exported: Path) -> None:
     index = json.loads((exported / "depth" / "depth.json").read_text())
     assert index["unit"] == "m"
@@ -96,12 +130,28 @@ def test_the_mesh_lies_on_the_cloud(site: Path, exported: Path) -> None:
 
 
 def test_heights_agree_with_the_cloud(site: Path, exported: Path) -> None:
-    header = json.loads((exported / "heights.json").read_text())
-    png = read_image(exported / "heights.png", cv2.IMREAD_UNCHANGED)
+    rasterio = pytest.importorskip("rasterio")
     cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
-    heights = np.where(png > 0, (png - 1.0) / header["png_steps_per_unit"] + header["png_lowest"], np.nan)
-    row, column = (header["top"] - cloud["y"]) / header["cell"], (cloud["x"] - header["left"]) / header["cell"]
-    assert 0.88 < share_below(heights, row, column, cloud["z"]) < 0.97
+    with rasterio.open(exported / "heights.tif") as file:
+        assert file.crs is None, "the site is not on the map"
+        assert (file.units, file.descriptions) == (("m",), ("height above the site's origin",))
+        column, row = ~file.transform * (cloud["x"], cloud["y"])
+        assert 0.88 < share_below(file.read(1), row, column, cloud["z"]) < 0.97
+
+
+def test_the_orthophoto_of_a_site_that_is_not_on_the_map_lies_in_its_own_coordinates(site: Path, exported: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    cloud = read_ply(work(site) / "runs" / "latest-good" / "cloud.ply")
+    with rasterio.open(exported / "orthophoto.tif") as file:
+        assert file.crs is None
+        photo = file.read()
+        column, row = (np.floor(k).astype(int) for k in ~file.transform * (cloud["x"], cloud["y"]))
+    inside = (row >= 0) & (row < photo.shape[1]) & (column >= 0) & (column < photo.shape[2])
+    there = photo[:, row[inside], column[inside]].astype(int)
+    colours = np.stack([cloud["red"], cloud["green"], cloud["blue"]])[:, inside]
+    assert inside.mean() > 0.99
+    assert (there[3] == 255).mean() > 0.9
+    assert np.median(np.abs(there[:3] - colours)) < 20, "of walls only the upper edge is seen"
 
 
 def share_below(heights: np.ndarray, row: np.ndarray, column: np.ndarray, z: np.ndarray) -> float:
@@ -227,13 +277,13 @@ def test_an_export_that_cannot_be_made_does_not_stop_the_others(
 ) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "lazrs" else found(name, *rest))
-    result = wbflow_export(site, tmp_path / "out", "--laz", "--depth")
+    result = wbflow_export(site, tmp_path / "out", "--laz", "--depth", "--colmap")
     assert result.exit_code == 2
     assert "--laz was not made: --laz needs lazrs" in result.stderr
-    assert f"1 of 2 exports not made; the others are in {tmp_path / 'out'}" in result.stderr
+    assert f"1 of 3 exports not made; the others are in {tmp_path / 'out'}" in result.stderr
     written = {Path(line) for line in result.stdout.splitlines()}
     assert written == {path for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert written
+    assert {path.relative_to(tmp_path / "out").parts[0] for path in written} == {"depth", "colmap"}
 
 
 def test_a_night_is_compared_with_a_scan_of_its_site(site: Path, tmp_path: Path) -> None:
