@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from codecs import BOM_UTF8
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,9 +23,10 @@ from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.captures import captures_of, expected, night
 from ..site.geodesy import local_frame
-from ..site.load import site_of
+from ..site.load import load_site, site_of
 from ..site.models import Camera, Section, Site, Vector2, Vector3
-from ..site.yaml_document import Problems, SiteError, parse_yaml
+from ..site.yaml_document import Problem, Problems, SiteError, parse_yaml
+from .merge import MergedList, merge
 from .splice import NotEditable, append, put, remove
 
 GROUND_SHARE = 0.1
@@ -196,10 +199,12 @@ class Session:
         self._sizes: dict[str, tuple[int, int]] = {}
         """Width and height of the captures, for cameras that were shown."""
         self._masks = {camera.id: read_untrusted(camera.mask) for camera in site.cameras if camera.mask}
-        """The original masks: each save paints all areas over these, so that a removed area leaves no trace."""
+        """The masks as others made them: each save paints all areas over these, so that a removed area leaves no trace."""
         self._painted_cameras: set[str] = set()
         """Cameras whose masks this session has written."""
-        self._last_digests = self._digests()
+        self._versions: dict[str, Site] = {}
+        """The site of each version of the file that a page has been drawn on, by the digest of the file."""
+        self._take(site)
 
     def state(self) -> dict[str, Any]:
         """Return the content of the site file for the page, and which cameras have a pose."""
@@ -208,7 +213,7 @@ class Session:
         return {
             "site": self.site.name,
             "file": str(self.site.file),
-            "version": self._last_digests[self.site.file],
+            "version": self.version,
             "night": str(self._night),
             "geodetic": bool(self.site.survey.crs),
             "ground": self.posed.ground,
@@ -220,7 +225,7 @@ class Session:
 
     def picture(self, name: str) -> tuple[dict[str, Any], bytes]:
         """Return width, height and file name of a camera's capture, and a JPEG of it to draw on.  Raises Refused."""
-        camera = self._camera(name)
+        camera = _camera_of(self.site, name)
         files = captures_of(self.site, camera, self._night, Digests(None))
         usable = [file for file in files if file.digest]
         if not files:
@@ -237,7 +242,7 @@ class Session:
 
     def shade(self, name: str) -> bytes:
         """Return a PNG that shows what a camera's mask leaves out.  Raises Refused if there is no mask, or it cannot be read."""
-        mask = self._masks.get(self._camera(name).id)
+        mask = self._masks.get(_camera_of(self.site, name).id)
         if mask is None:
             raise Refused(f"{name} has no mask")
         try:
@@ -246,26 +251,32 @@ class Session:
             raise Refused(str(error)) from None
 
     def save(self, request: SaveRequest) -> dict[str, Any]:
-        """Write the marks to the site file and to masks, and return the new state.
+        """Write the marks to the site file and to masks, and return the new state, with what is not saved and why.
 
-        Raises Refused if the file would be invalid, or has changed since.
+        What somebody else has changed in the file since is kept.  A mark that would make the file invalid, or that was changed in
+        both places, is left out.  Raises Refused if nothing can be saved; nothing is written then.
         """
         marks = request.marks
         with self._lock:  # the browser may send two requests at once, and each changes the text that the other has read
-            # 1. Nobody else has changed the files since the page was opened or saved.
-            if request.version != self._last_digests[self.site.file] or self._last_digests != self._digests():
-                remedy = "open the page again: what is drawn there now has not been saved"
-                raise Refused("was changed on disk meanwhile; nothing was written", where=str(self.site.file), remedy=remedy)
+            # 1. The site as it was drawn on, and as it is now.
+            opened = self._versions.get(request.version)
+            if opened is None:
+                raise Refused("this page is of another start of wbflow edit", remedy="open the page again in a new tab")
+            site = self._site_on_disk()
+            is_merged = site is not opened
+            _check_drawn_on(marks, opened, site)
+            is_merged |= self._read_changed_masks(site)
             # 2. New masks first: the site file is valid only if the masks that it names exist.
             masks = dict(self._new_masks(marks))
-            files = {name: self._mask_file(self._camera(name)) for name in masks}
-            added = [name for name, file in files.items() if file != self._camera(name).mask]
+            files = {name: self._mask_file(_camera_of(site, name), site) for name in masks}
+            added = [name for name, file in files.items() if file != _camera_of(site, name).mask]
             for name in added:
                 write_atomic(files[name], masks[name])
             # 3. The site file with the marks, which is loaded as a run would load it.
+            lists = _merged_lists(marks, opened, site)
             try:
-                paths = {name: str(files[name].relative_to(self.site.folder)) for name in added}
-                text, site = self._edited_site(marks, paths)
+                paths = {name: str(files[name].relative_to(site.folder)) for name in added}
+                text, edited, lists = _edited_site(site, lists, paths)
             except Refused:
                 for name in added:
                     files[name].unlink()
@@ -273,11 +284,49 @@ class Session:
             # 4. All is valid: existing masks, and the site file last.
             for name, file in files.items():
                 write_atomic(file, masks[name])
-            write_atomic(self.site.file.resolve(), text)
-            self.site = site
+            write_atomic(site.file.resolve(), text)
             self._painted_cameras |= masks.keys()
-            self._last_digests = self._digests()
-            return self.state()
+            self._take(edited)
+            if is_merged:
+                self.posed = PosedCameras(edited)
+            unsaved = [mark for part in lists for mark in part.unsaved_marks()]
+            return {**self.state(), "merged": is_merged, "unsaved": unsaved}
+
+    def _take(self, site: Site) -> None:
+        """Take a site whose file and masks were just read or written as the newest version."""
+        self.site = site
+        self.version = content_digest(read_untrusted(site.file, MOST_TEXT_BYTES))
+        self._versions[self.version] = site
+        self._mask_digests = _mask_digests(site)
+
+    def _site_on_disk(self) -> Site:
+        """Return the site as its file is now.  Raises Refused if the file is gone or invalid."""
+        keeps = "then save again: what is drawn here is kept"
+        try:
+            if content_digest(read_untrusted(self.site.file, MOST_TEXT_BYTES)) == self.version:
+                return self.site
+            return load_site(self.site.file, self.site.work_folder.root)
+        except SiteError as error:
+            raise Refused(f"{error}\n  the file was changed meanwhile: mend it, {keeps}") from None
+        except OSError as error:
+            raise Refused(f"{self.site.file}: {error}\n  put it back, {keeps}") from None
+
+    def _read_changed_masks(self, site: Site) -> bool:
+        """Take masks that somebody else has changed as the ones to paint over; return whether there are any.  Raises Refused."""
+        digests = _mask_digests(site)
+        changed = {name for name, digest in digests.items() if digest != self._mask_digests.get(name)}
+        for camera in site.cameras:
+            if camera.id not in changed or camera.mask is None:
+                continue
+            try:
+                self._masks[camera.id] = read_untrusted(camera.mask)
+            except OSError as error:
+                remedy = "put it back, then save again: what is drawn here is kept"
+                raise Refused(f"the mask of {camera.id}: {error}", where=str(camera.mask), remedy=remedy) from None
+        for name in self._mask_digests.keys() - digests.keys():
+            del self._masks[name]
+            changed.add(name)
+        return bool(changed)
 
     def _new_masks(self, marks: Marks) -> Iterable[tuple[str, bytes]]:
         """The mask of each camera on which something is painted, or was in this session: its areas may all be gone again."""
@@ -292,28 +341,12 @@ class Session:
             except ValueError as error:
                 raise Refused(str(error)) from None
 
-    def _edited_site(self, marks: Marks, masks: dict[str, str]) -> tuple[bytes, Site]:
-        """Return the bytes of the site file with the marks, and the site loaded from them.  Raises Refused."""
-        # byte-order mark and line ends stay as the user's editor wrote them
-        raw = read_untrusted(self.site.file, MOST_TEXT_BYTES)
-        old_text = raw.decode("utf-8-sig")
-        bom = BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
-        line_end = "\r\n" if "\r\n" in old_text else "\n"
-        try:
-            text = _with_marks(old_text.replace("\r\n", "\n"), self.site, marks, masks)
-            site = site_of(parse_yaml(text, self.site.file), self.site.work_folder.root)
-        except NotEditable as error:
-            raise Refused(str(error), where=str(self.site.file), remedy="change this by hand") from None
-        except SiteError as error:
-            raise Refused(str(error)) from None
-        return bom + text.replace("\n", line_end).encode(), site
-
-    def _mask_file(self, camera: Camera) -> Path:
+    def _mask_file(self, camera: Camera, site: Site) -> Path:
         """Return where to write a camera's mask: its own file if that is a PNG of this camera alone, else a new file."""
-        other_masks = {other.mask for other in self.site.cameras if other.id != camera.id}
+        other_masks = {other.mask for other in site.cameras if other.id != camera.id}
         if camera.mask and camera.mask.suffix.lower() == ".png" and camera.mask not in other_masks:
             return camera.mask
-        folder = self.site.folder / "masks"
+        folder = site.folder / "masks"
         file = folder / f"{camera.id}.png"
         number = 1
         while file.exists():
@@ -321,43 +354,155 @@ class Session:
             file = folder / f"{camera.id}-{number}.png"
         return file
 
-    def _camera(self, name: str) -> Camera:
-        for camera in self.site.cameras:
-            if camera.id == name:
-                return camera
-        raise Refused(f"the site has no camera {name!r}")
 
-    def _digests(self) -> dict[Path, str]:
-        """The digests of the site file and of all masks; "" for a file that is gone."""
-        files = [self.site.file]
-        files += [camera.mask for camera in self.site.cameras if camera.mask]
-        digests: dict[Path, str] = {}
-        for file in files:
-            digests[file] = content_digest(read_untrusted(file)) if is_file(file) else ""
-        return digests
+@dataclass(frozen=True)
+class _EditedList:
+    """A list of the site file in which something may be drawn, merged with what the file has now."""
+
+    kind: str
+    """privacy, zone or point."""
+    camera: str
+    """The camera of privacy polygons; else ""."""
+    location: Location
+    file_items: Sequence[Any]
+    merged: MergedList
+
+    @property
+    def where(self) -> str:
+        """The location as problems name it: `cameras[3].privacy`."""
+        return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in self.location).removeprefix(".")
+
+    def with_faults(self, problems: Sequence[Problem]) -> _EditedList:
+        """Return the list without drawn items that problems of the edited file are about."""
+        faults: dict[int, str] = {}
+        for problem in problems:
+            found = re.match(rf"{re.escape(self.where)}\[(\d+)\]", problem.where)
+            if found and self.merged.entries[int(found[1])].drawn is not None:
+                faults.setdefault(int(found[1]), problem.what)
+        return replace(self, merged=self.merged.without(faults, self.file_items))
+
+    def unsaved_marks(self) -> Iterable[dict[str, Any]]:
+        """Yield what is not saved, for the page: `was` is the index in the saved file of the item that stays instead."""
+        now = {entry.was: k for k, entry in enumerate(self.merged.entries) if entry.was is not None}
+        for item in self.merged.unsaved:
+            was = None if item.was is None else now.get(item.was)
+            yield {"kind": self.kind, "camera": self.camera, "drawn": item.drawn, "was": was, "why": item.why}
 
 
-def _with_marks(text: str, site: Site, marks: Marks, masks: Mapping[str, str]) -> str:
-    """Return the text of a site file with the marks.  masks: paths of new masks, by camera.  Raises NotEditable."""
-    geodetic = bool(site.survey.crs)
-    for k, camera in enumerate(site.settings.cameras):
+def _check_drawn_on(marks: Marks, opened: Site, site: Site) -> None:
+    """Raise Refused if the site is now without a camera on which somebody drew, or has other coordinates."""
+    cameras = {camera.id for camera in site.cameras}
+    for name, drawn in marks.cameras.items():
+        before = _camera_of(opened, name)
+        is_drawn_on = drawn.mask or [list(mark.corners) for mark in drawn.privacy] != before.privacy
+        if is_drawn_on and name not in cameras:
+            remedy = "put it back, then save again: what is drawn here is kept"
+            raise Refused(f"camera {name!r}, on which you drew, is no longer in the file", where=str(site.file), remedy=remedy)
+    if opened.survey.crs != site.survey.crs:
+        remedy = "put it back, then save again: what is drawn here is kept"
+        raise Refused("the coordinate system was changed meanwhile", where=str(site.file), remedy=remedy)
+
+
+def _merged_lists(marks: Marks, opened: Site, site: Site) -> list[_EditedList]:
+    """Return the lists of the site file with what is drawn, and with what was changed in the file since the page was opened."""
+    lists: list[_EditedList] = []
+    for k, camera in enumerate(site.cameras):
         drawn = marks.cameras.get(camera.id)
         if drawn is None:
+            continue
+        polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
+        before = _camera_of(opened, camera.id).privacy
+        merged = merge(before, polygons, camera.privacy, lambda polygon: None)
+        lists.append(_EditedList("privacy", camera.id, ("cameras", k, "privacy"), camera.privacy, merged))
+
+    geodetic = bool(site.survey.crs)
+    zones_before, points_before = _marks_of(opened)
+    zones_in_file, points_in_file = _marks_of(site)
+
+    zones = [_zone_entry(mark) for mark in zones_in_file]
+    drawn_zones = [(mark.was, _zone_entry(mark)) for mark in marks.zones]
+    merged = merge([_zone_entry(mark) for mark in zones_before], drawn_zones, zones, lambda zone: zone["name"])
+    lists.append(_EditedList("zone", "", ("zones",), zones, merged))
+
+    points = [_point_entry(mark, geodetic) for mark in points_in_file]
+    drawn_points = [(mark.was, _point_entry(mark, geodetic)) for mark in marks.points]
+    merged = merge([_point_entry(mark, geodetic) for mark in points_before], drawn_points, points, lambda point: point.get("id"))
+    # a point without coordinates is unfinished, wherever it was written
+    is_placed = {"position", "latitude"}
+    unplaced = {k: "its coordinates are missing" for k, entry in enumerate(merged.entries) if not is_placed & entry.value.keys()}
+    lists.append(_EditedList("point", "", ("control_points",), points, merged.without(unplaced, points)))
+    return lists
+
+
+def _edited_site(site: Site, lists: list[_EditedList], masks: Mapping[str, str]) -> tuple[bytes, Site, list[_EditedList]]:
+    """Return the bytes of the site file with the lists, the site loaded from them, and the lists as written.
+
+    Drawn items that make the file invalid are left out.  Raises Refused if it is still invalid then.
+
+    Parameters
+    ----------
+    site : Site
+        The site as its file is now.
+    lists : list of _EditedList
+        The lists that may differ from those in the file.
+    masks : Mapping
+        Paths of new masks, by camera.
+    """
+    # byte-order mark and line ends stay as the user's editor wrote them
+    raw = read_untrusted(site.file, MOST_TEXT_BYTES)
+    old_text = raw.decode("utf-8-sig")
+    bom = BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
+    line_end = "\r\n" if "\r\n" in old_text else "\n"
+    while True:
+        try:
+            text = _with_lists(old_text.replace("\r\n", "\n"), site, lists, masks)
+            edited = site_of(parse_yaml(text, site.file), site.work_folder.root)
+            return bom + text.replace("\n", line_end).encode(), edited, lists
+        except NotEditable as error:
+            raise Refused(str(error), where=str(site.file), remedy="change this by hand") from None
+        except SiteError as error:
+            without_faults = [part.with_faults(error.problems) for part in lists]
+            if without_faults == lists:
+                raise Refused(str(error)) from None
+            # each round leaves out at least one drawn item, so this ends
+            lists = without_faults
+
+
+def _with_lists(text: str, site: Site, lists: Sequence[_EditedList], masks: Mapping[str, str]) -> str:
+    """Return the text of a site file with edited lists and new masks (paths by camera).  Raises NotEditable."""
+    of_camera = {part.camera: part for part in lists if part.camera}
+    for k, camera in enumerate(site.cameras):
+        edited = of_camera.get(camera.id)
+        if edited is None:
             continue
         location: Location = ("cameras", k)
         # a camera that is written as its id alone becomes a mapping as soon as it has keys
         is_id_alone = not isinstance(site.document.data["cameras"][k], dict)
-        if is_id_alone and (drawn.privacy or camera.id in masks):
+        if is_id_alone and (edited.merged.entries or camera.id in masks):
             text = put(text, location, {"id": camera.id})
         if camera.id in masks:
             text = put(text, (*location, "mask"), masks[camera.id])
-        new_polygons = [(mark.was, mark.corners) for mark in drawn.privacy]
-        text = _with_list(text, (*location, "privacy"), camera.privacy, new_polygons)
-    zones, points = _marks_of(site)
-    new_zones = [(mark.was, _zone_entry(mark)) for mark in marks.zones]
-    text = _with_list(text, ("zones",), [_zone_entry(mark) for mark in zones], new_zones)
-    new_points = [(mark.was, _point_entry(mark, geodetic)) for mark in marks.points]
-    return _with_list(text, ("control_points",), [_point_entry(mark, geodetic) for mark in points], new_points)
+        text = _with_list(text, edited, site.file)
+    for part in lists:
+        if not part.camera:
+            text = _with_list(text, part, site.file)
+    return text
+
+
+def _camera_of(site: Site, name: str) -> Camera:
+    for camera in site.cameras:
+        if camera.id == name:
+            return camera
+    raise Refused(f"the site has no camera {name!r}")
+
+
+def _mask_digests(site: Site) -> dict[str, str]:
+    """Return the digest of each camera's mask; "" for a file that is gone."""
+    digests: dict[str, str] = {}
+    for camera in site.cameras:
+        if camera.mask:
+            digests[camera.id] = content_digest(read_untrusted(camera.mask)) if is_file(camera.mask) else ""
+    return digests
 
 
 def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
@@ -372,19 +517,28 @@ def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
     return zones, points
 
 
-def _with_list(text: str, location: Location, old_items: Sequence[Any], new_items: Sequence[tuple[int | None, Any]]) -> str:
-    """Return the text with a list changed to `new_items`: items that remain keep their text, except for values that differ."""
+def _with_list(text: str, edited: _EditedList, file: Path) -> str:
+    """Return the text with a list changed as it was edited: items that remain keep their text, except for values that differ.
+
+    Raises SiteError for an item that cannot be changed in the text, and NotEditable for a list that cannot.
+    """
+    location = edited.location
     # 1. Items that remain.
-    kept_items = {was: value for was, value in new_items if was is not None and was < len(old_items)}
-    for k, old_value in enumerate(old_items):
-        if k in kept_items:
-            text = _with_value(text, (*location, k), old_value, kept_items[k])
+    kept_items = {entry.was: (k, entry.value) for k, entry in enumerate(edited.merged.entries) if entry.was is not None}
+    for was, file_item in enumerate(edited.file_items):
+        if was not in kept_items:
+            continue
+        k, value = kept_items[was]
+        try:
+            text = _with_value(text, (*location, was), file_item, value)
+        except NotEditable as error:
+            raise SiteError(Problem(file, f"{error}: change this by hand", where=f"{edited.where}[{k}]")) from None
     # 2. Items that are gone; from the end, so that the others keep their places.
-    for k in reversed(range(len(old_items))):
-        if k not in kept_items:
-            text = remove(text, (*location, k))
+    for was in reversed(range(len(edited.file_items))):
+        if was not in kept_items:
+            text = remove(text, (*location, was))
     # 3. New items at the end.
-    added = [value for was, value in new_items if was is None or was >= len(old_items)]
+    added = [entry.value for entry in edited.merged.entries if entry.was is None]
     if added and not kept_items:
         return put(text, location, added)
     for value in added:

@@ -189,14 +189,61 @@ def test_a_control_point_is_placed_in_three_pictures_by_guides_with_residuals(pa
     assert sorted(written["pixels"]) == ["gate", "mast", "roof"]
 
 
-def test_a_control_point_without_coordinates_is_refused_with_its_place(page: Page) -> None:
+def test_a_control_point_without_coordinates_is_marked_and_the_rest_is_saved(page: Page) -> None:
     page.tool("point")
     page.click((100, 90))
+    page.tool("privacy")
+    page.click((200, 60), (260, 60), (260, 110))
+    page.keys(Keys.ENTER)
     message = page.save()
-    assert "site.yaml:25:5: control_points[1]: 'position' is missing" in message
-    assert page.file.read_text() == edit_site.SITE
-    page.keys(Keys.DELETE)
-    page.until("return edit.marks.points.length === 1")
+    assert message.startswith("Saved ")
+    assert "Not saved: point point-2: its coordinates are missing" in message
+    assert len(page.data["cameras"][0]["privacy"]) == 2
+    assert len(page.data["control_points"]) == 1
+    row = page.browser.find_element("css selector", "#points li.fault")
+    assert "its coordinates are missing" in row.text
+    assert len(row.find_elements("css selector", "input[aria-invalid=true]")) == 3
+    assert page.browser.find_element("css selector", "[data-do=save]").is_enabled()
+    fields = row.find_elements("css selector", ".place input")
+    fields[0].send_keys("1.5", Keys.TAB)
+    assert page.run("return document.activeElement.placeholder") == "y", "the list is not built anew while somebody types"
+    page.run("document.activeElement.blur()")
+    assert page.run("return document.querySelector('#points li.fault .place input').value") == "1.5"
+    for name, value in zip("yz", ("2", "0.5"), strict=True):
+        row = page.browser.find_element("css selector", "#points li.fault")
+        row.find_element("css selector", f"input[placeholder={name}]").send_keys(value, Keys.ENTER)
+    assert "Not saved: point point-2: fewer than two cameras see it" in page.save()
+    page.browser.find_element("css selector", "#points li.fault input").click()
+    page.tool("point")
+    page.to("roof")
+    page.click((120, 70))
+    assert page.save() == f"Saved {page.file}"
+    assert page.data["control_points"][1]["position"] == [1.5, 2, 0.5]
+    assert page.browser.find_elements("css selector", "#points li.fault") == []
+
+
+def test_what_others_change_in_the_file_meanwhile_is_kept_beside_what_is_drawn(page: Page) -> None:
+    page.tool("privacy")
+    page.click((200, 60), (260, 60), (260, 110))
+    page.keys(Keys.ENTER)
+    page.file.write_text(page.file.read_text().replace("least_m: 0.5", "least_m: 0.7").replace("- id: bolt ", "- id: hook "))
+    message = page.save()
+    assert message.startswith("Saved ") and "their changes are kept, too" in message
+    assert len(page.data["cameras"][0]["privacy"]) == 2
+    assert page.data["zones"][0]["least_m"] == 0.7
+    page.until("return edit.marks.points[0].id === 'hook' && mine().privacy.length === 2")
+
+
+def test_a_file_that_is_invalid_now_costs_nothing_of_what_is_drawn(page: Page) -> None:
+    page.tool("privacy")
+    page.click((200, 60), (260, 60), (260, 110))
+    page.keys(Keys.ENTER)
+    page.file.write_text(page.file.read_text().replace("resolution: 1600", "resolution: many"))
+    message = page.save()
+    assert "resolution" in message and "mend it, then save again: what is drawn here is kept" in message
+    page.file.write_text(edit_site.SITE)
+    assert page.save().startswith("Saved ")
+    assert len(page.data["cameras"][0]["privacy"]) == 2
 
 
 def test_a_zone_is_drawn_on_the_ground_and_shown_in_the_other_pictures(page: Page) -> None:

@@ -193,24 +193,110 @@ def test_masks_are_painted_into_files_that_the_site_file_names(server: EditServe
     assert np.count_nonzero(gate == 0) == 20 * 60, "areas that were taken back are gone"
 
 
-def test_invalid_marks_are_refused_with_their_line_in_the_site_file(server: EditServer, file: Path) -> None:
+def test_marks_that_the_site_file_refuses_are_left_out_and_named(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)
+    drawn["points"][0]["position"] = None
     drawn["points"].append({"was": None, "id": "door", "position": None, "pixels": {"gate": [5, 6], "mast": [7, 8]}})
+    drawn["points"].append({"was": None, "id": "hook", "position": [1, 2, 3], "pixels": {"gate": [5, 6], "mast": [7, 8]}})
+    drawn["zones"].append({"was": None, "name": "line", "corners": [[0, 0], [1, 1]], "least_m": 0})
     drawn["cameras"]["shed"]["mask"] = [{"use": False, "corners": [[0, 0], [9, 0], [9, 9]]}]
     status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    assert [line for line in changed(file) if line[0] == "+"] == [
+        "+   - {id: shed, mask: masks/shed.png}          # nobody knows where it is",
+        "+   - {id: hook, position: [1, 2, 3], pixels: {gate: [5, 6], mast: [7, 8]}}",
+    ]
+    unsaved = json.loads(body)["unsaved"]
+    assert [(mark["kind"], mark["drawn"], mark["was"]) for mark in unsaved] == [
+        ("zone", 1, None),
+        ("point", 0, 0),
+        ("point", 1, None),
+    ]
+    assert [mark["why"] for mark in unsaved][1:] == ["its coordinates are missing"] * 2
+
+
+def test_nothing_is_written_if_the_site_file_cannot_be_loaded(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["cameras"]["shed"]["mask"] = [{"use": False, "corners": [[0, 0], [9, 0], [9, 9]]}]
+    broken = edit_site.SITE.replace("resolution: 1600", "resolution: many")
+    file.write_text(broken)
+    status, body = save(server, drawn, there["version"])
     assert status == 409
-    assert re.search(r"site\.yaml:25:5: control_points\[1\]: 'position' is missing\n  write \{position", body)
-    assert file.read_text() == edit_site.SITE
+    assert re.search(r"site\.yaml:27:13: resolution: .*mend it", body, re.DOTALL)
+    assert file.read_text() == broken
     assert not (file.parent / "masks" / "shed.png").exists()
 
 
-def test_a_site_file_changed_meanwhile_is_not_overwritten(server: EditServer, file: Path) -> None:
+def test_what_was_changed_in_the_file_meanwhile_is_kept(server: EditServer, file: Path) -> None:
     there = state(server)
-    file.write_text(edit_site.SITE + "# and so on\n")
-    status, body = save(server, marks(there), there["version"])
-    assert (status, "was changed on disk meanwhile" in body) == (409, True)
-    assert file.read_text() == edit_site.SITE + "# and so on\n"
+    drawn = marks(there)
+    drawn["points"][0]["pixels"]["mast"] = [150.5, 80]
+    drawn["cameras"]["gate"]["privacy"].append({"was": None, "corners": [[10, 20], [60, 20], [60, 50]]})
+    new_zone = "  - {name: gatehouse, polygon: [[0, 0], [1, 0], [1, 1]]}\n"
+    text = edit_site.SITE.replace("zones:\n", f"zones:\n{new_zone}").replace("  - shed  ", "  - {id: shed, intrinsics: *lens}  ")
+    file.write_text(text)
+    status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    answer = json.loads(body)
+    assert (answer["merged"], answer["unsaved"]) == (True, [])
+    assert [zone["name"] for zone in answer["zones"]] == ["gatehouse", "quay"]
+    expected = text.replace("roof: [159.9, 88.9]}", "roof: [159.9, 88.9], mast: [150.5, 80]}")
+    assert file.read_text() == expected.replace("[0.0, 1.0]]]", "[0.0, 1.0]], [[10, 20], [60, 20], [60, 50]]]")
+
+
+def test_a_mark_that_was_changed_in_both_places_stays_as_in_the_file_and_is_named(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["points"][0]["position"] = [9, 9, 9]
+    drawn["zones"] = []
+    text = edit_site.SITE.replace("[0.5, 1.0, 0.0]", "[0.5, 1.0, 0.25]").replace("least_m: 0.5", "least_m: 0.75")
+    file.write_text(text)
+    answer = json.loads(save(server, drawn, there["version"])[1])
+    assert file.read_text() == text
+    point, zone = sorted(answer["unsaved"], key=lambda mark: str(mark["kind"]))
+    assert (point["drawn"], point["was"]) == (0, 0) and "saving again replaces that" in point["why"]
+    assert (zone["drawn"], zone["was"]) == (None, 0) and "is not removed" in zone["why"]
+    again = marks(answer)
+    again["points"][0]["position"] = [9, 9, 9]
+    assert save(server, again, answer["version"])[0] == 200
+    assert "position: [9, 9, 9]" in file.read_text()
+
+
+def test_two_pages_of_one_file_do_not_undo_each_other(server: EditServer, file: Path) -> None:
+    there = state(server)
+    one, other = marks(there), json.loads(json.dumps(marks(there)))
+    one["zones"].append({"was": None, "name": "north", "corners": [[0, 0], [5, 0], [5, 5]], "least_m": 0})
+    other["zones"].append({"was": None, "name": "south", "corners": [[0, 0], [5, 0], [5, -5]], "least_m": 0})
+    assert save(server, one, there["version"])[0] == 200
+    assert save(server, other, there["version"])[0] == 200
+    assert [zone.name for zone in load_site(file).settings.zones or ()] == ["quay", "north", "south"]
+
+
+def test_a_mask_that_was_changed_meanwhile_is_painted_over(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    mask_file = file.parent / "masks" / "gate.png"
+    changed_mask = np.full((edit_site.HEIGHT, edit_site.WIDTH), 255, np.uint8)
+    changed_mask[-10:] = 0
+    cv2.imwrite(str(mask_file), changed_mask)
+    drawn["cameras"]["gate"]["mask"] = [{"use": False, "corners": [[100, 100], [139, 100], [139, 139], [100, 139]]}]
+    status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    mask = cv2.imread(str(mask_file), cv2.IMREAD_GRAYSCALE)
+    assert np.count_nonzero(mask == 0) == 40 * 40 + 10 * edit_site.WIDTH
+
+
+def test_a_camera_that_somebody_drew_on_and_that_is_gone_is_said(server: EditServer, file: Path) -> None:
+    there = state(server)
+    drawn = marks(there)
+    drawn["cameras"]["shed"]["privacy"].append({"was": None, "corners": [[10, 20], [60, 20], [60, 50]]})
+    text = edit_site.SITE.replace("  - shed          # nobody knows where it is\n", "")
+    file.write_text(text)
+    status, body = save(server, drawn, there["version"])
+    assert (status, "camera 'shed', on which you drew, is no longer in the file" in body) == (409, True)
+    assert file.read_text() == text
 
 
 @pytest.mark.parametrize("body", [{}, {"marks": {"zones": 3}, "version": "x"}, {"marks": {}, "version": "x", "path": "/etc"}])

@@ -41,8 +41,8 @@ async function look() { // one request at a time; what has changed meanwhile is 
   try {
     do {
       again = false;
-      const { zones, points } = edit.marks, draft = edit.draft?.kind === "zone" ? [{ was: null, name: "", corners: edit.draft.corners, least_m: 0 }] : [];
-      const chosen = edit.chosen?.kind === "point" ? points.indexOf(edit.chosen.item) : -1;
+      const { zones, points } = sent(), draft = edit.draft?.kind === "zone" ? [{ was: null, name: "", corners: edit.draft.corners, least_m: 0 }] : [];
+      const chosen = edit.chosen?.kind === "point" ? edit.marks.points.indexOf(edit.chosen.item) : -1;
       const found = await (await ask("look", { camera: edit.camera, marks: { points, zones: [...zones, ...draft] }, chosen: chosen < 0 ? null : chosen, ground: ground() })).json();
       edit.seen = { ...found, camera: edit.camera };
     } while (again);
@@ -83,13 +83,30 @@ function taken(state) {
 function sent() { // as the server takes it
   const cameras = {};
   for (const [id, { privacy, mask }] of Object.entries(edit.marks.cameras)) cameras[id] = { privacy: privacy.map(({ was, corners }) => ({ was, corners })), mask };
-  return { cameras, zones: edit.marks.zones, points: edit.marks.points };
+  const zones = edit.marks.zones.map(({ was, name, corners, least_m }) => ({ was, name, corners, least_m }));
+  const points = edit.marks.points.map(({ was, id, position, pixels }) => ({ was, id, pixels, position: position?.includes(null) ? null : position }));
+  return { cameras, zones, points };
 }
 
 async function save() {
   if (edit.draft) { say("Close the polygon (Enter) or drop it (Esc) first.", true); return; }
-  const state = await (await ask("save", { marks: sent(), version: edit.state.version })).json();
-  taken(state); renew(); say(`Saved ${state.file}`);
+  const drawn = edit.marks, focused = document.activeElement;
+  let state;
+  document.body.inert = true; // nothing is drawn until it is known what was saved
+  try { state = await (await ask("save", { marks: sent(), version: edit.state.version })).json(); }
+  finally { document.body.inert = false; focused?.focus({ preventScroll: true }); }
+  taken(state);
+  const notes = state.unsaved.map((mark) => unsaved(mark, drawn));
+  if (state.merged) { edit.pictures.clear(); edit.seen = null; }
+  if (state.cameras.some(({ id }) => id === edit.camera) && !state.merged) renew(); else await show((state.cameras.find(({ id }) => id === edit.camera) || state.cameras[0]).id);
+  const merged = state.merged ? "; somebody else has changed files meanwhile: their changes are kept, too" : "";
+  say([`Saved ${state.file}${merged}`, ...notes].join("\n"), notes.length > 0);
+}
+function unsaved({ kind, camera, drawn: at, was, why }, drawn) { // puts back what is not in the file; returns a note about it
+  const listOf = (marks) => ({ point: marks.points, zone: marks.zones, privacy: marks.cameras[camera]?.privacy })[kind];
+  const list = listOf(edit.marks), item = at === null ? list[was] : { ...listOf(drawn)[at], was, fault: why };
+  if (at !== null && was === null) list.push(item); else if (at !== null) list[was] = item;
+  return `Not saved: ${kind === "privacy" ? `a privacy polygon of ${camera}` : `${kind} ${item.id || item.name || ""}`}: ${why}`;
 }
 async function done() {
   if (packed() !== edit.saved && !confirm("What was not saved will be lost.")) return;
@@ -321,11 +338,18 @@ function row(kind, item, words) {
   else name.addEventListener("focus", () => { if (edit.chosen?.item !== item) { edit.chosen = { kind, item }; mark(); looked(); } });
   const cut = element("button", { textContent: "×", title: "Remove", ariaLabel: `Remove ${kind}` });
   cut.addEventListener("click", () => remove({ kind, item }));
-  const made = element("li", {}, element("div", { className: "row" }, name, cut));
+  const made = element("li", { className: item.fault ? "fault" : "" }, element("div", { className: "row" }, name, cut));
+  if (item.fault) made.append(element("p", { className: "why", textContent: `not saved: ${item.fault}` }));
   made.item = item;
   return made;
 }
 function mark() { for (const li of $$("aside li")) li.classList.toggle("chosen", edit.chosen?.item === li.item); draw(); }
+function fill(list, items, build) { // rows that stay are not built anew: somebody may type in them, or go to their next field
+  const rows = [...list.children];
+  if (rows.length === items.length && rows.every((li, k) => li.item === items[k])) for (const li of rows) li.renew();
+  else list.replaceChildren(...items.map(build));
+}
+function put(input, value) { const text = String(value ?? ""); if (input.value !== text) input.value = text; }
 function polygons() {
   const areas = mine().mask.map((item) => row("mask", item, `${item.use ? "use again" : "leave out"}, ${item.corners.length} corners`));
   const there = mine().privacy.map((item) => row("privacy", item, `privacy, ${item.corners.length} corners`));
@@ -333,25 +357,32 @@ function polygons() {
   if (!there.length && !areas.length) $("#polygons").append(element("p", { className: "soft", textContent: "Nothing is drawn here." }));
 }
 function zones() {
-  $("#zones").replaceChildren(...edit.marks.zones.map((zone) => {
-    const made = row("zone", zone, field(zone.name, (text) => { zone.name = text; }, { ariaLabel: "Name of the zone" }));
+  fill($("#zones"), edit.marks.zones, (zone) => {
+    const name = field(zone.name, (text) => { zone.name = text; }, { ariaLabel: "Name of the zone" });
     const least = field(zone.least_m, (text) => { zone.least_m = Math.max(0, +text || 0); }, { type: "number", step: "0.1", min: "0" });
+    const made = row("zone", zone, name);
     made.append(element("label", { className: "inline soft" }, "changes from", least, "m"));
+    made.renew = () => { put(name, zone.name); put(least, zone.least_m); };
     return made;
-  }));
+  });
 }
 function points() {
   const names = edit.state.geodetic ? ["latitude", "longitude", "height"] : ["x", "y", "z"];
-  $("#points").replaceChildren(...edit.marks.points.map((point) => {
-    const made = row("point", point, field(point.id, (text) => { point.id = text; }, { ariaLabel: "Name of the point" }));
-    const inputs = names.map((name, k) => element("input", { type: "number", step: "any", placeholder: name, ariaLabel: name, value: point.position?.[k] ?? "" }));
+  fill($("#points"), edit.marks.points, (point) => {
+    const name = field(point.id, (text) => { point.id = text; }, { ariaLabel: "Name of the point" }), made = row("point", point, name);
+    const inputs = names.map((axis) => element("input", { type: "number", step: "any", placeholder: axis, ariaLabel: axis }));
     for (const input of inputs) input.addEventListener("change", () => {
-      const typed = inputs.map((i) => i.value);
-      if (typed.every((v) => v !== "")) change(() => { point.position = typed.map(Number); }); else if (typed.every((v) => v === "")) change(() => { point.position = null; });
+      const typed = inputs.map((i) => (i.value === "" ? null : Number(i.value))); // half of it is kept, too, but is no position yet
+      change(() => { point.position = typed.every((v) => v === null) ? null : typed; });
     });
     made.append(element("div", { className: "place" }, ...inputs), element("div", { className: "off" }));
+    made.renew = () => {
+      put(name, point.id);
+      inputs.forEach((input, k) => { put(input, point.position?.[k]); input.setAttribute("aria-invalid", String(Boolean(point.fault) && input.value === "")); });
+    };
+    made.renew();
     return made;
-  }));
+  });
   residuals();
 }
 function residuals() {
