@@ -106,6 +106,10 @@ class WorkFolder:
         """An index of runs and artifacts; it can be deleted."""
         self.delivered_memo = self.root / "delivered.json"
         """Digests of the captures that cameras delivered in earlier nights."""
+        self.current_run = self.root / "current-run.json"
+        """The mark of the run that is at work, or that was killed (see `records.killed_runs`)."""
+        self.killed_runs = self.root / "killed-runs.json"
+        """The list of runs that were killed."""
         self.notified = self.root / "notified.json"
         """The state of the site at the last notification."""
         self.owner = self.root / "site.json"
@@ -175,6 +179,10 @@ class WorkFolder:
     def receipt_of(self, artifact: Path) -> Path:
         """Return the path of the receipt of an artifact file."""
         return artifact.with_suffix(".json")
+
+    def stage_of(self, path: Path) -> str:
+        """Return the stage that a file of the cache belongs to."""
+        return path.parts[-3]
 
     def identity_of(self, path: Path) -> str:
         """Return the identity of a cache file, independent of where the work folder lies: stage/subject/key.suffix."""

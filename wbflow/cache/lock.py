@@ -40,6 +40,20 @@ def hold(path: Path, wait: bool) -> Iterator[None]:
             file.truncate(0)  # the file stays: if it were removed, two processes could hold two files of this name
 
 
+def holder_of(path: Path) -> str | None:
+    """Return who holds the lock file, in words; None if nobody does.  Nothing is written."""
+    try:
+        if not read_untrusted(path):  # whoever held it last has ended properly
+            return None
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(path)
+    except OSError:
+        return None
+    return None
+
+
 def _open_locked(path: Path, wait: bool) -> IO[str]:
     """Open and lock the file.  Anything else at its path (a folder, a dangling link, a pipe) is removed, unless it is locked."""
     while True:

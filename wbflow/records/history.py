@@ -12,12 +12,15 @@ from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import RecordedChange
 from .findings import Verdict
+from .killed_runs import KilledRun, killed_runs
 from .ledger import Ledger, LedgerRun
-from .record import RunRecord
+from .record import RunRecord, moment
 from .run_folder import last_of_nights, newest_runs
 
 MOST_WORDS = 80
 """Longest text of a run's verdict in a line, in characters."""
+KILLED_CODE = 137
+"""Exit code of a killed run, as a shell reports it (128 + SIGKILL)."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +32,14 @@ class Entry:
     """None if run.json is gone, or is of an earlier version."""
     cleaned: bool
     """Has its folder been removed?"""
+    killed: KilledRun | None = None
+    """How far it came, if it was killed or crashed; it has no folder then."""
 
     @property
     def words(self) -> str:
         """The verdict in words: the level, and the first finding."""
+        if self.killed:
+            return self.killed.words
         if self.cleaned:
             return "cleaned"
         if self.verdict is None:
@@ -42,20 +49,45 @@ class Entry:
 
     def to_json(self) -> dict[str, Any]:
         verdict = self.verdict.to_json() if self.verdict else None
-        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned}
+        return {**asdict(self.run), "verdict": verdict, "cleaned": self.cleaned, "killed": self.killed is not None}
 
 
 def history(work: WorkFolder) -> list[Entry]:
-    """Return every run, oldest first."""
+    """Return every run, oldest first; also those that were killed."""
     verdicts = {folder.id: record.verdict for folder, record in newest_runs(work)}
     with Ledger(work) as ledger:
-        return [Entry(run, verdicts.get(run.run), cleaned=not work.run(run.run).record.exists()) for run in ledger.runs()]
+        runs = ledger.runs()
+    entries = [Entry(run, verdicts.get(run.run), cleaned=not work.run(run.run).record.exists()) for run in runs]
+    entries += [Entry(_ledger_run(killed), None, cleaned=False, killed=killed) for killed in killed_runs(work)]
+    return sorted(entries, key=lambda entry: entry.run.run)
+
+
+def _ledger_run(killed: KilledRun) -> LedgerRun:
+    """Return what is known of a killed run as a row of the ledger, which has none for it."""
+    wall = (moment(killed.last) - moment(killed.started)).total_seconds()
+    return LedgerRun(
+        run=killed.run,
+        date=killed.date,
+        started=killed.started,
+        finished=killed.last,
+        wall=wall,
+        cpu=0.0,
+        cached=0,
+        ran=killed.tasks,
+        rejected=0,
+        failed=0,
+        skipped=0,
+        points=None,
+        exit_code=KILLED_CODE,
+    )
 
 
 def places(work: WorkFolder) -> list[dict[str, Any]]:
     """Return the paths of every run's files, oldest run first, for programs; the path of a file that is gone is None."""
     rows = []
     for entry in history(work):
+        if entry.killed:
+            continue
         run, paths, level = entry.run, work.run(entry.run.run), entry.verdict.level if entry.verdict else None
         data = {"run": run.run, "night": run.date, "exit_code": run.exit_code, "level": level, "points": run.points}
         files = {"folder": paths.folder, "cloud": paths.cloud, "report": paths.report}

@@ -17,6 +17,7 @@ from ..errors import UsageError
 from ..pipeline.stages import FRAMES
 from ..records.events import Listener
 from ..records.finished_run import Run
+from ..records.killed_runs import mark_begun, mark_published
 from ..records.ledger import Ledger
 from ..records.record import RunRecord
 from ..records.run_folder import hold_to_write, new_run
@@ -69,10 +70,12 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
             # from here on: plan, restore, work, publish, follow up
             night = read_night(site, options)
             note_oddities(night, journal)
+            mark_begun(work, run, str(night.date), started)
             plan = Plan(night)
             prepare(night, journal)
             products = run_tasks(plan, options, journal)
             finished = publish(run, plan, products, journal, draw_report, own_process=options.backend == "threading")
+            mark_published(work)
             follow_up(finished, site, journal, send=products is not None and not options.until)
             if mirror and (fault := mirror.finish()):
                 journal.warn(fault)
