@@ -61,7 +61,7 @@ def main() -> None:
     """
 
 
-for _name in ("run", "results", "setup"):
+for _name in ("run", "status", "results", "setup"):
     # by name: the command line knows where its commands are, not what they need
     for _command in vars(import_module(f"{__package__}.{_name}")).values():
         if isinstance(_command, click.Command):

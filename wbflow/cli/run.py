@@ -1,4 +1,4 @@
-"""`wbflow run`, `capture`, `status` and `check`: process a night, or show what would be done."""
+"""`wbflow run` and `capture`: process nights, or take their pictures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import datetime
 import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +16,10 @@ from ..words import counted
 from . import common
 from .common import Day, date_at, day, echo, echo_json, load
 from .display import display
+from .status import planned_night, print_plan, totals_of
 
 if TYPE_CHECKING:
     from ..capture.take import Delivery
-    from ..commands.status import Status
     from ..records.record import RunRecord
     from ..site.models import Site
 
@@ -82,6 +81,7 @@ def run(
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
     from .. import api
+    from ..commands.status import explain
     from .ended import next_step, print_night, print_table
 
     quiet = quiet or as_json
@@ -97,12 +97,11 @@ def run(
         nights = _nights(site, date, since)
         if dry_run:
             for night in nights:
-                planned = _status(site, night, options["until"], options["force"])
+                planned = explain(planned_night(site, night, options["until"], options["force"]))
                 if "would run" in planned.totals:
-                    _print_status(planned)
+                    print_plan(planned)
                 else:
-                    totals = ", ".join(f"{count} {state}" for state, count in planned.totals.items())
-                    echo(f"night of {planned.night}: nothing would run: {totals}")
+                    echo(f"night of {planned.night}: nothing would run: {totals_of(planned)}")
             return ExitCode.GOOD
         exit_codes: list[int] = []
         for night in nights:
@@ -187,71 +186,3 @@ def _capture(site: Site, quiet: bool) -> list[Delivery]:
             echo(f"{delivery.camera:10} {delivery}", err=bool(delivery.fault))
 
     return capture(site, print_delivery)
-
-
-@click.command()
-@common.site_argument
-@common.date_option
-@common.work_option
-@common.until_option
-@common.json_option
-def status(site: Path, date: Day | None, work: str | None, until: str | None, as_json: bool) -> None:
-    """Show what is cached, what would run, and why.
-
-    \b
-    wbflow status site.yaml
-    wbflow status site.yaml --date -1 --json
-    """
-    loaded = load(site, work)
-    night_status = _status(loaded, date_at(loaded, date), until)
-    if as_json:
-        echo_json(asdict(night_status))
-    else:
-        _print_status(night_status)
-
-
-def _status(site: Site, date: datetime.date | None, until: str | None, force: tuple[str, ...] = ()) -> Status:
-    from ..commands.status import explain
-    from ..runner.options import Options
-    from ..runner.plan import Plan
-    from ..runner.tonight import read_night
-
-    options = Options(date, until=until, force=force)
-    options.check(site)
-    plan = Plan(read_night(site, options))
-    plan.refresh()
-    if plan.night.reference_fault:
-        echo(f"the reference is not used: {plan.night.reference_fault}", err=True)
-    return explain(plan)
-
-
-def _print_status(status: Status) -> None:
-    for line in status.tasks:
-        echo(f"{line.task:32} {line.state}{': ' + line.why if line.why else ''}")
-    if status.pairs_to_come:
-        echo("(tasks of pairs are listed once the pair graph is known)")
-    estimate = f"; about {status.cpu_seconds:.0f} CPU s, as far as is known" if status.cpu_seconds is not None else ""
-    echo(f"night of {status.night}: {', '.join(f'{count} {state}' for state, count in status.totals.items())}{estimate}")
-
-
-@click.command()
-@common.site_argument
-@common.date_option
-@common.work_option
-@click.option("--no-network", is_flag=True, help="Do not ask cameras with a url for a picture.")
-def check(site: Path, date: Day | None, work: str | None, no_network: bool) -> None:
-    """Check site file, captures, cameras on the network, and machine.  Prints each problem with its remedy, and runs nothing.
-
-    \b
-    wbflow check site.yaml
-    wbflow check site.yaml --date yesterday
-    """
-    from ..commands import check as checks
-
-    loaded = load(site, work)
-    findings = checks.check(loaded, date_at(loaded, date), not no_network)
-    for finding in findings:
-        echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
-    if not findings:
-        echo(f"{site}: {len(loaded.cameras)} cameras, all captures whole, everything installed")
-    sys.exit(checks.exit_code(findings))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from statistics import fmean
 
 from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import PAIRS
@@ -22,6 +23,8 @@ class Line:
     state: str
     """The outcome of its `State` (cached, rejected, ...), or "would run"."""
     why: str
+    cause: str = ""
+    """Why the first of the tasks was skipped that this one was skipped for; `why` of any other task."""
     seconds: float | None = None
     """Expected CPU time, from its last run or the mean of its stage; None if it won't run, or neither is known."""
 
@@ -44,23 +47,43 @@ class Status:
 
 def explain(plan: Plan) -> Status:
     """Return what would become of each task of a plan, and why."""
-    costs: dict[str, list[float]] = {}
     lines: dict[Task, Line] = {}
+    # 1. tasks that need nothing done
+    costs: dict[str, list[float]] = {}
     for task, state in plan.states.items():
-        lines[task] = Line(str(task), state.outcome, state.reason or "")
+        lines[task] = Line(str(task), state.outcome, state.reason or "", _cause(plan, task))
         if state.receipt:
             costs.setdefault(task.stage, []).append(state.receipt.cpu)
-    mean_costs = {stage: sum(values) / len(values) for stage, values in costs.items()}
+    # 2. tasks that would run; one that never has is expected to cost what others of its stage did
+    mean_costs = {stage: fmean(values) for stage, values in costs.items()}
     for task in (*plan.ready, *plan.waiting):
         last = plan.night.cache.newest(task)
         seconds = last.cpu if last else mean_costs.get(task.stage)
-        lines[task] = Line(str(task), "would run", _why(plan, task, last), seconds)
+        why = _why(plan, task, last)
+        lines[task] = Line(str(task), "would run", why, why, seconds)
+    # 3. all of them, in the order of the pipeline
     order = {stage.name: number for number, stage in enumerate(plan.night.stages)}
     ordered = tuple(lines[task] for task in sorted(lines, key=lambda task: order[task.stage]))
     expected = [line.seconds for line in ordered if line.seconds is not None]
-    pairs_to_come = plan.night.takes_part(PAIRS) and None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
-    totals = dict(Counter(line.state for line in ordered))
-    return Status(plan.night.site.name, str(plan.night.date), ordered, totals, sum(expected) if expected else None, pairs_to_come)
+    unknown_pairs = None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
+    return Status(
+        site=plan.night.site.name,
+        night=str(plan.night.date),
+        tasks=ordered,
+        totals=dict(Counter(line.state for line in ordered)),
+        cpu_seconds=sum(expected) if expected else None,
+        pairs_to_come=plan.night.takes_part(PAIRS) and unknown_pairs,
+    )
+
+
+def _cause(plan: Plan, task: Task) -> str:
+    """Return why a task has ended as it has; one that was skipped because others were has their reason."""
+    reason = plan.states[task].reason or ""
+    for upstream in plan.upstreams(task) if plan.states[task].outcome == "skipped" else ():
+        state = plan.states.get(upstream)
+        if state and state.outcome == "skipped" and state.reason and reason.endswith(state.reason):
+            return _cause(plan, upstream)
+    return reason
 
 
 def _why(plan: Plan, task: Task, last: Receipt | None) -> str:
@@ -76,7 +99,9 @@ def _why(plan: Plan, task: Task, last: Receipt | None) -> str:
     pending = sum(upstream not in plan.states for upstream in upstreams)  # if they give the same bytes, the task is not run
     if not pending:
         return "once the pair graph is known"
-    return f"{pending} of {len(upstreams)} inputs will change" if pending > 1 else "an input may change"
+    if pending == 1:
+        return "an input may change"
+    return f"{pending} of {len(upstreams)} inputs will change"
 
 
 def difference(last: Receipt, now: Preimage) -> str:

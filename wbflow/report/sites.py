@@ -79,7 +79,7 @@ def _site_row(file: Path, folder: Path) -> SiteRow:
     try:
         site = load_site(file)
         work = site.work_folder
-        by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else [])}
+        by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else []) if not entry.killed}
     except WbflowError as error:
         return SiteRow(file.parent.name, file, fault=str(error))
     nights = []
