@@ -141,6 +141,8 @@ class ChangesFigures(Record):
     """Volumes of each zone, by name."""
     changes: Mapping[str, Change] | None = None
     """Changes by id ("C17"), the largest first."""
+    highest_id: int = 0
+    """Number of the highest id that was given up to this night (17 for C17)."""
 
 
 @dataclass(frozen=True)

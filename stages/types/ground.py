@@ -129,6 +129,7 @@ class Changes(Record):
             cut_fill=self.cut_fill,
             zones=self.zones,
             changes=self.changes,
+            highest_id=self.highest_id,
         )
 
 

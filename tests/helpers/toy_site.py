@@ -37,6 +37,8 @@ class ToySite:
     """Additional keys of the site file."""
     watched: bool = False
     """Whether its cameras are compared with the reference (stage health)."""
+    compares: bool = False
+    """Whether it looks for what has changed (stage changes)."""
     dated: bool = False
     """Whether captures are named `<camera>-<date>.txt`."""
     backend: str = "processes"
@@ -69,6 +71,12 @@ class ToySite:
         for camera in self.cameras:
             self.capture(camera, date).write_text(f"{states.get(camera, 'ok')}: {camera} on {date}")
 
+    def things(self, date: str, things: str = "") -> None:
+        """Write the captures of a night of a dated site; things: what differs from the reference, as in "van 5, stack -3"."""
+        self.night(date)
+        first = self.capture(self.cameras[0], date)
+        first.write_text(f"{first.read_text()}{f'; {things}' if things else ''}")
+
     def fault(self, name: str, text: str) -> None:
         (self.folder / "faults" / name).write_text(text)
 
@@ -77,7 +85,8 @@ class ToySite:
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
         stages["shared"] = False
-        stages["scene"] = stages["refine"] = stages["coverage"] = stages["changes"] = stages["calibration"] = False
+        stages["scene"] = stages["refine"] = stages["coverage"] = stages["calibration"] = False
+        stages["changes"] = {"use": "toy_stages:find_changes"} if self.compares else False
         stages["health"] = {"use": "toy_stages:examine"} if self.watched else False
         site = {
             "site": "toy",

@@ -20,17 +20,21 @@ from typing import Any, cast
 import numpy as np
 
 from wbflow_stages.contracts.camera_figures import HealthState
+from wbflow_stages.contracts.ground_figures import UsedIds
 from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.types import (
     Camera,
     CameraHealth,
     Capture,
+    Change,
+    Changes,
     Cloud,
     DepthMap,
     Disparity,
     Features,
     Frame,
     Geometry,
+    GroundGrid,
     Lens,
     Matches,
     Overlap,
@@ -47,7 +51,9 @@ from wbflow_stages.types import (
 
 
 def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *, resolution: int | None = None) -> Frame:
-    """Captures are text: `broken` raises, other text becomes pixels; "ok/obscured/ok: a view" gives the states of three views."""
+    """Captures are text: `broken` raises, other text becomes pixels; "ok/obscured/ok: a view" gives the states of three views.
+
+    "ok: a view; van 5, stack -3" lists what differs from the reference (see `find_changes`)."""
     _trouble("frames")
     data = b"".join(capture.data.tobytes() for capture in captures)
     if data.startswith(b"broken"):
@@ -57,7 +63,8 @@ def clean_frame(captures: Sequence[Capture], lens: Lens, mask: Capture | None, *
     if lens.turn is not None:  # the middle, left or right view
         state = state.split("/")[int(np.sign(np.round(lens.turn[2, 0], 6))) % 3 * 2 % 3] if "/" in state else state
     view = View(8, 8, np.eye(3), lens=lens if lens.camera else None)
-    return Frame(pixels, np.ones((8, 8), bool), view, notes=("toy", state))
+    things = data.decode(errors="replace").partition(";")[2].strip()
+    return Frame(pixels, np.ones((8, 8), bool), view, notes=("toy", state, things) if things else ("toy", state))
 
 
 def examine(frame: Frame, pinned_frame: Frame | None, history: ShiftHistory | None, *, nudged_px: float = 1.5) -> CameraHealth:
@@ -208,6 +215,63 @@ def fuse(
     colors = np.full((n, 3), 128, np.uint8)
     ones = np.ones(n, np.float32)
     return Cloud(points, np.tile(np.array([0, 0, 1], np.float32), (n, 1)), colors, ones, np.full(n, 2, np.uint16), ones)
+
+
+def find_changes(
+    poses: Poses,
+    cloud: Cloud,
+    frames: Mapping[str, Frame],
+    reference_cloud: Cloud | None,
+    previous: Changes | None,
+    used_ids: UsedIds | None,
+) -> Changes:
+    """The things that a capture lists, such as "van 5, stack -3": a name, which is its zone, and a volume, negative if it has
+    vanished.  A thing keeps the id that it has in `previous`; "van ?" is carried on without being seen."""
+    _trouble("changes")
+    number = max(previous.highest_id if previous else 0, used_ids.highest if used_ids else 0)
+    known = {change.zone: change for change in previous.changes.values()} if previous else {}
+    listed = ",".join(frame.notes[2] for frame in frames.values() if len(frame.notes) > 2)
+    changes: dict[str, Change] = {}
+    for name, text in (thing.split() for thing in listed.split(",") if thing):
+        if text == "?":
+            changes[known[name].id] = dataclasses.replace(known[name], seen=False)
+            continue
+        if name not in known:
+            number += 1
+        volume = float(text)
+        change = Change(
+            "new" if volume > 0 else "vanished",
+            x=float(len(name)),
+            y=15.3,
+            z=1.3,
+            length=2.0,
+            width=1.4,
+            height=2.6,
+            volume=abs(volume),
+            volume_least=abs(volume) - 1,
+            volume_most=abs(volume) + 1,
+            zone=name,
+            id=known[name].id if name in known else f"C{number}",
+            nights=known[name].nights + 1 if name in known else 1,
+        )
+        changes[change.id] = change
+    nothing = np.zeros(0, np.float32)
+    return Changes(
+        reference_cloud is not None,
+        changes if reference_cloud is not None else {},
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        distance=nothing,
+        sigma=nothing,
+        significance=nothing,
+        label=np.zeros(0, np.uint8),
+        blob=np.zeros(0, np.uint16),
+        grid=GroundGrid(np.eye(3), 0.0, 0.0, 1.0, 0, 0),
+        difference=np.zeros((0, 0), np.float32),
+        crops={name: np.full((8, 16, 3), 99, np.uint8) for name in changes},
+        count=len(changes),
+        highest_id=number,
+    )
 
 
 def _filled(kind: Any, **fields: Any) -> Any:

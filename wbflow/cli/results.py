@@ -14,9 +14,10 @@ from . import common
 from .common import Day, date_at, day, echo, echo_json, load, stop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from ..records.finished_run import Run
+    from ..records.record import RunRecord
     from ..site.models import Site
 
 
@@ -52,18 +53,20 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
     wbflow history site.yaml --json
     wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
     """
-    from ..records.history import HEAD, as_csv, growth
+    from ..records.history import as_csv, compared_nights, growth
     from ..records.history import history as entries
 
     loaded = load(site, work)
     if csv and not changes:
         raise UsageError("--csv is for --changes", remedy=f"wbflow history {site} --changes --csv")
     if changes:
-        rows = growth(loaded.work_folder)
+        nights = compared_nights(loaded.work_folder)
         if as_json:
-            echo_json([row.to_json() for row in rows])
+            echo_json([row.to_json() for row in growth(nights)])
+        elif csv:
+            echo(as_csv(growth(nights)).rstrip("\n"))
         else:
-            echo(as_csv(rows).rstrip("\n") if csv else "\n".join([HEAD, *map(str, rows)]))
+            _print_things(loaded, nights)
         return
     past_runs = entries(loaded.work_folder)
     if as_json:
@@ -78,6 +81,30 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
         points = f"{row.points:,}" if row.points else "-"
         figures = f"{row.wall:8.1f} {row.cpu:8.1f} {row.cached:6} {row.ran:5} {row.rejected:8} {row.failed:6}"
         echo(f"{row.run:17} {row.date:10} {figures} {points:>11} {row.exit_code:4}  {entry.words}".rstrip())
+
+
+def _print_things(site: Site, nights: Sequence[RunRecord]) -> None:
+    """Print every change, one to a line, and what the newest night has gained and lost."""
+    from ..records.history import THINGS_HEAD, balance_lines, things
+    from ..verdict.acknowledge import read
+
+    if not nights:
+        echo(f"{site.name}: no night has been compared with a reference yet")
+        return
+    newest = nights[-1]
+    acknowledged = {entry.finding: entry for entry in read(site) if entry.holds(newest.date)}
+    found = things(nights)
+    if found:
+        echo(THINGS_HEAD)
+    for thing in found:
+        echo(thing.line(newest.unit))
+        entry = acknowledged.get(thing.change.id)
+        if entry:
+            echo(f"      {entry.words}", indent=6)
+    since = f"since the reference, night of {newest.date}"
+    echo(f"{since}:" if found else f"nothing has changed {since}:")
+    for line in balance_lines(newest):
+        echo(f"  {line}", indent=4)
 
 
 @click.command()
@@ -198,33 +225,60 @@ def _compare_with_scan(site: Site, night: str | None, scan: Path, out: Path, as_
 @click.option("--until", type=day, metavar="DAY", help="Last night for which it is acknowledged (default: until dropped).")
 @click.option("--note", default="", metavar="TEXT", help="Why.")
 @click.option("--drop", is_flag=True, help="Withdraw the acknowledgement.")
-def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool) -> None:
+@common.json_option
+def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str, drop: bool, as_json: bool) -> None:
     """Acknowledge a finding or a change.  It stays in the report, but no longer degrades a night or sends notifications.
+
+    A finding is named by its code and camera, a change by its id.
 
     \b
     wbflow acknowledge site.yaml                  lists what is found, and what is acknowledged
     wbflow acknowledge site.yaml camera-lost crane-2 --until 2026-12-04 --note "new cable on Friday"
     wbflow acknowledge site.yaml camera-lost crane-2 --drop
-    wbflow acknowledge site.yaml change 2 --note "the crane is here for good"    a change of the newest run, by its number
+    wbflow acknowledge site.yaml C17 --note "the crane is here for good"
     """
-    from ..records.run_folder import newest_runs
     from ..verdict import acknowledge as known
 
     loaded, finding = load(site, None), " ".join(words)
-    if finding and drop:
-        known.drop(loaded, finding)
-        echo(f"{finding} counts again")
-    elif finding:
-        echo(f"{finding}: {known.add(loaded, finding, date_at(loaded, until), note).words}; from the next run on")
+    if not finding:
+        _list_acknowledged(loaded, as_json)
+        return
+    entry = known.drop(loaded, finding) if drop else known.add(loaded, finding, date_at(loaded, until), note)
+    named = f"{entry.finding} {entry.what}".rstrip()
+    if as_json:
+        echo_json({**entry.to_json(), "dropped": drop})
+    elif drop:
+        echo(f"{named} counts again, from the next run on")
     else:
-        newest = next((record for _, record in newest_runs(loaded.work_folder)), None)
-        for reported in newest.verdict.findings if newest and newest.verdict else ():
-            echo(f"{known.name_of(reported)}: {reported.text}")
-        for number, change in known.changes_of(newest).items() if newest else ():
-            if not change.acknowledged:
-                echo(f"{known.CHANGE} {number}: {change.kind} at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
-        for acknowledged in known.read(loaded):
-            echo(f"{acknowledged.finding}: {acknowledged.words}")
+        echo(f"{named}: {entry.words}; from the next run on")
+
+
+def _list_acknowledged(site: Site, as_json: bool) -> None:
+    """Print what the newest nights have found that nobody has acknowledged, then what somebody has."""
+    from ..records.changes import open_changes
+    from ..records.findings import UNEXPECTED_CHANGE
+    from ..records.run_folder import newest_compared, newest_runs
+    from ..verdict import acknowledge as known
+
+    newest = next((record for _, record in newest_runs(site.work_folder)), None)
+    compared = newest_compared(site.work_folder)
+    acknowledged = known.read(site)
+    findings = newest.verdict.findings if newest and newest.verdict else ()
+    changes = open_changes(known.with_known(compared, acknowledged)) if compared else []
+    if as_json:
+        data = {"findings": findings, "changes": changes, "acknowledged": acknowledged}
+        echo_json({name: [entry.to_json() for entry in entries] for name, entries in data.items()})
+        return
+    for finding in findings:
+        if finding.kind != UNEXPECTED_CHANGE:  # it is among the changes
+            echo(f"{known.name_of(finding)}: {finding.text}", indent=4)
+    for change in changes:
+        unit = compared.unit if compared else ""
+        echo(f"{change.id}: {change.words(unit)}; {change.volume_words(unit)}; since {change.first}", indent=4)
+    for entry in acknowledged:
+        echo(f"{entry.finding}: {f'{entry.what}; ' if entry.what else ''}{entry.words}", indent=4)
+    if not findings and not changes and not acknowledged:
+        echo("there is nothing to acknowledge")
 
 
 @click.command()

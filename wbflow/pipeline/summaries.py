@@ -6,7 +6,6 @@ dataclasses (`run.state.summary_of`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Self
@@ -145,25 +144,56 @@ class CoverageSummary(CoverageFigures, SiteSummary):
         return None if self.area_m2 is None or self.seen_by_two is None else self.area_m2 * self.seen_by_two
 
 
-_SAME_PLACE_SHARE = 0.5
-"""Two changes of one kind are the same thing if their centres are nearer than this share of the larger one's length."""
-
-
 @dataclass(frozen=True)
 class RecordedChange(Change, JsonDataclass):
     """One thing that has appeared, vanished or moved."""
 
+    first: str = ""
+    """The first night on which it was seen, ISO 8601."""
+    last: str = ""
+    """The newest night on which it was seen."""
+    grown: str = ""
+    """The newest night on which it had grown for certain; "" if it never has."""
+    news_most: float = 0.0
+    """`volume_most` on the night when it was last news: the first one, or that of `grown`."""
     acknowledged: str = ""
     """Who has acknowledged the change, until when, and why; "" if it is not acknowledged."""
 
     @model_serializer(mode="wrap")
     def _without_empty(self, write: Any) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
+        return {name: value for name, value in write(self).items() if value or name not in {"acknowledged", "grown"}}
 
-    def is_same(self, other: RecordedChange) -> bool:
-        """Is it the same thing on another night, compared with the same reference?"""
-        distance = math.dist((self.x, self.y, self.z), (other.x, other.y, other.z))
-        return self.kind == other.kind and distance <= _SAME_PLACE_SHARE * max(self.length, other.length)
+    @property
+    def news(self) -> str:
+        """The night on which it was last news, because it was new or had grown."""
+        return self.grown or self.first
+
+    def words(self, unit: str, night: str = "") -> str:
+        """Return what it is, its size and its place, as in "new 2.0 x 1.4 x 2.6 m at 11.3, 15.0".
+
+        unit: of lengths; "" if the scale is unknown.  night: the night that speaks of it (ISO 8601); "" for any.
+        """
+        what = self.kind or "changed"
+        if night and self.grown == night:
+            what = f"{what} since {self.first}, grown to"
+        elif night and self.first and self.first != night:
+            what = f"{what} since {self.first},"
+        size = " x ".join(f"{side:.1f}" for side in (self.length, self.width, self.height))
+        place = f"{self.x:.1f}, {self.y:.1f}"
+        unseen = "" if self.seen else f", not seen since {self.last}"
+        return f"{what} {size} {unit}".rstrip() + f" at {place}{unseen}"
+
+    def volume_words(self, unit: str) -> str:
+        """Return the interval that holds its volume, as in "4.2 to 26.0 m³"."""
+        return volume_words((self.volume_least, self.volume_most), (self.volume, self.volume_sigma), unit)
+
+
+def volume_words(interval: tuple[float, float], seen: tuple[float, float], unit: str) -> str:
+    """Return a volume in words: the interval that holds it or, if there is none, its seen part and the standard deviation."""
+    text = "{:,.1f} ± {:.1f}".format(*seen)
+    if interval[1]:
+        text = "{:,.1f} to {:,.1f}".format(*interval)
+    return f"{text} {unit}³" if unit else text
 
 
 @dataclass(frozen=True)
@@ -171,6 +201,8 @@ class ChangesSummary(ChangesFigures, SiteSummary):
     """The changes since the night of the reference."""
 
     changes: Mapping[str, RecordedChange] | None = None
+    gone: Mapping[str, RecordedChange] = field(default_factory=dict)
+    """Changes of the night that these go on from that are there no more: all is as in the reference again."""
 
     @property
     def objects(self) -> Mapping[str, RecordedChange]:

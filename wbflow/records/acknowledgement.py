@@ -12,10 +12,12 @@ class Acknowledgement(JsonDataclass):
     """A finding or change that somebody has acknowledged."""
 
     finding: str
-    """Code and subject of a finding ("camera-lost crane-2"), or kind and position of a change ("change new at 9.2,15.3,1.3")."""
+    """Code and subject of a finding ("camera-lost crane-2"), or the id of a change ("C17")."""
     by: str
     on: str
     """ISO 8601 date."""
+    what: str = ""
+    """A change as it was then: "new 2.0 x 1.4 x 2.6 m at 11.3, 15.0"."""
     until: str = ""
     """The last night to which it applies; "" for all nights."""
     note: str = ""

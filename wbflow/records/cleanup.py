@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..cache.layout import WorkFolder
+from ..pipeline.stages import CHANGES
+from ..task import Task
 from .events import TaskEvent
 from .keep import Keep
 from .ledger import Ledger
 from .reference import BadReference, read_reference
 from .run_folder import NoSuchRun, RunFolder
 
+_NEXT_NIGHT = "9999"
+"""Stands for the night to come: it is later than any date."""
 _QUARANTINED = 20
 """Number of quarantined files, newest first, that an automatic cleanup keeps so that their damage can be investigated."""
 
@@ -90,6 +94,10 @@ class _Nights:
         dates = {run.run: run.date for run in ledger.runs()}
         self._dates = {run: dates.get(run, run) for run in self.runs}  # a run that the ledger lacks is a night of its own
 
+    def newest_first(self) -> list[tuple[str, str]]:
+        """Return the runs with their nights (ISO 8601), the newest night first; of one night, the last run first."""
+        return sorted(((run, self._dates[run]) for run in self.runs), key=lambda entry: entry[::-1], reverse=True)
+
     def beyond(self, count: int | None) -> set[str]:
         """Return the runs of all but the newest `count` nights, without those in `shown`; the empty set for None."""
         newest_nights = list(dict.fromkeys(self._dates[run] for run in reversed(self.runs)))[:count]
@@ -110,6 +118,8 @@ def _unneeded_artifacts(
     for path in work.cache_files():
         files[path.name.partition(".")[0]].append(path)
     used_keys = {run: _used_keys(work, run) for run in nights.runs if run not in unused_runs}
+    for run, key in _previous_changes(work, nights, set(used_keys)).items():
+        used_keys[run] = {key}
     newest_run = {key: run for run in used_keys for key in used_keys[run]}
     pinned = _pinned_keys(work)
     surplus = files.keys() - newest_run.keys() - pinned
@@ -118,6 +128,7 @@ def _unneeded_artifacts(
         sizes = {key: _freed_bytes(files[key]) for key in files.keys() & newest_run.keys() - pinned}
         excess_bytes = sum(sizes.values()) - keep.bytes
         needed = {key for run in nights.shown for key in used_keys.get(run, ())}
+        needed.update(_previous_changes(work, nights, nights.shown).values())
         for key in sorted(sizes.keys() - needed, key=lambda key: (newest_run[key], -sizes[key])):
             if excess_bytes <= 0:
                 break
@@ -126,6 +137,22 @@ def _unneeded_artifacts(
     # receipts first: an artifact without a receipt is never used
     ordered = {key: sorted(files[key], key=lambda path: path != work.receipt_of(path)) for key in sorted(surplus)}
     return ordered, max(excess_bytes, 0)
+
+
+def _previous_changes(work: WorkFolder, nights: _Nights, kept: set[str]) -> dict[str, str]:
+    """Return the keys of changes that kept runs, if they are repeated, or the next night go on from, by their run.
+
+    kept: runs that keep all their artifacts.
+    """
+    previous: dict[str, str] = {}
+    before = _NEXT_NIGHT  # changes of a night before this one are needed; "": none are
+    for run, night in nights.newest_first():
+        if run in kept:
+            before = night
+        elif night < before and (event := _events(work, run).get(Task(CHANGES))) and event.usable and event.key:
+            previous[run] = event.key
+            before = ""
+    return previous
 
 
 def _pinned_keys(work: WorkFolder) -> set[str]:
@@ -139,10 +166,14 @@ def _pinned_keys(work: WorkFolder) -> set[str]:
 
 def _used_keys(work: WorkFolder, run: str) -> set[str]:
     """Return the keys of the artifacts that a run used, from its log."""
+    return {event.key for event in _events(work, run).values() if event.key}
+
+
+def _events(work: WorkFolder, run: str) -> dict[Task, TaskEvent]:
     try:
-        return {event.key for event in RunFolder.of(work, run).events() if isinstance(event, TaskEvent) and event.key}
+        return RunFolder.of(work, run).tasks()
     except NoSuchRun:  # its artifacts are unknown; they are made again when needed
-        return set()
+        return {}
 
 
 def _freed_bytes(paths: Iterable[Path]) -> int:

@@ -88,6 +88,9 @@ class FindingType:
 _USED_AGAIN = "it is used again as soon as it delivers usable captures"
 _COMPARE = "run wbflow compare SITE.yaml to see what is missing; if it is meant to stay like this, set expect: {since: DATE}"
 
+UNEXPECTED_CHANGE = "unexpected-change"
+"""Code of the finding whose subject is the id of a change."""
+
 FINDINGS: Mapping[str, FindingType] = {
     row.code: row
     for row in (
@@ -288,6 +291,12 @@ FINDINGS: Mapping[str, FindingType] = {
             "look at the cloud where confidence is low: repeating, shiny or plain surfaces need more cameras, or cameras "
             "closer together; a higher `confidence` of `fuse` keeps fewer points",
             "only {percent:.1f} % of the cloud's points are expected to be right (at least {limit:.0f} % required)",
+        ),
+        FindingType(
+            UNEXPECTED_CHANGE,
+            "Something has changed where the site file expects no change (`expect: {changes: none}`, or that of a zone).",
+            "look at its pictures in the report; if it may stay: wbflow acknowledge SITE.yaml ID",
+            "{change}",
         ),
         FindingType("fewer-points", "The cloud has far fewer points than usual.", _COMPARE),
         FindingType("fewer-pairs", "Far fewer pairs could be used than usual or planned.", _COMPARE),

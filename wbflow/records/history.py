@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
-from ..pipeline.summaries import RecordedChange
+from ..pipeline.summaries import RecordedChange, volume_words
 from .findings import Verdict
 from .killed_runs import KilledRun, killed_runs
 from .ledger import Ledger, LedgerRun
@@ -104,79 +104,112 @@ class GrowthRow(JsonDataclass):
     what: str
     """What the row describes: site, zone or change."""
     name: str
-    """Name of the site or zone; of a change its number, which stays the same through the nights."""
+    """Name of the site or zone; id of the change."""
     kind: str = ""
     zone: str = ""
     gained: float | None = None
     gained_sigma: float | None = None
+    gained_least: float | None = None
+    gained_most: float | None = None
     lost: float | None = None
     lost_sigma: float | None = None
-    growth: float | None = None
-    """Growth of a change's volume since the night on which it was last seen."""
+    lost_least: float | None = None
+    lost_most: float | None = None
     area: float | None = None
     unseen: float | None = None
+    seen: bool | None = None
+    """Was the change seen on this night?"""
     begin: str = ""
     """The first night of a change."""
     end: str = ""
-    """The first night after the last one of a change; "" while it lasts."""
+    """The first night on which a change was gone; "" while it lasts."""
     x: float | None = None
     y: float | None = None
     z: float | None = None
 
-    def __str__(self) -> str:
-        """As a line of a table."""
-        gained, lost = (
-            f"{value:.1f} ± {sigma or 0.0:.1f}" if value is not None else ""
-            for value, sigma in ((self.gained, self.gained_sigma), (self.lost, self.lost_sigma))
-        )
-        growth_text = f"{self.growth:+.1f}" if self.growth is not None else ""
-        extent = f"{self.begin} to {self.end or 'now'}" if self.begin else f"{self.area:.0f} m² seen, {self.unseen:.0f} m² not"
-        return f"{self.night} {self.what:6} {self.name:16} {self.kind:9} {gained:>14} {lost:>14} {growth_text:>7}  {extent}"
 
+def growth(nights: Sequence[RunRecord]) -> list[GrowthRow]:
+    """Return the volumes of the site and its zones, night by night, then each change from its first night to its last.
 
-HEAD = f"{'night':10} {'what':6} {'name':16} {'kind':9} {'gained':>14} {'lost':>14} {'growth':>7}  nights, or ground"
-"""Heading of a table whose lines are `GrowthRow`s."""
-
-
-def growth(work: WorkFolder) -> list[GrowthRow]:
-    """Return the volumes of the site and its zones, night by night, then each change from its first night to its last."""
-    compared = [night for night in last_of_nights(newest_runs(work)) if any(result.volumes for result in night.results.values())]
+    nights: those that were compared, oldest first.
+    """
     rows = []
-    for night in compared:
+    for night in nights:
         for zone, part in ((zone, part) for result in night.results.values() for zone, part in result.volumes.items()):
             what, name = ("zone", zone) if zone else ("site", night.site)
-            volumes = part.gained, part.gained_sigma, part.lost, part.lost_sigma
-            rows.append(GrowthRow(night.date, night.run, what, name, "", zone, *volumes, None, part.area, part.unseen))
-    for number, track in enumerate(_tracks(compared), 1):
-        (first, _), (last, _) = track[0], track[-1]
-        end = next((night.date for night in compared if night.date > last.date), "")
-        previous: float | None = None
-        for night, change in track:
-            volume, sigma = change.volume or 0.0, change.volume_sigma
-            row: dict[str, Any] = {name: getattr(change, name) for name in ("kind", "zone", "area", "x", "y", "z")}
-            row |= {"gained": volume, "gained_sigma": sigma} if change.kind != "vanished" else {}
-            row |= {"lost": volume, "lost_sigma": sigma} if change.kind != "new" else {}
-            row |= {"growth": None if previous is None else volume - previous, "begin": first.date, "end": end}
-            rows.append(GrowthRow(night.date, night.run, "change", str(number), **row))
-            previous = volume
+            volumes: dict[str, Any] = {column: getattr(part, column) for column in _VOLUMES}
+            rows.append(GrowthRow(night.date, night.run, what, name, zone=zone, area=part.area, unseen=part.unseen, **volumes))
+    for thing in things(nights):
+        for night in nights:
+            change = night.changes.get(thing.change.id)
+            if change:
+                rows.append(_change_row(night, change, thing.gone))
     return rows
 
 
-def _tracks(nights: Iterable[RunRecord]) -> list[list[tuple[RunRecord, RecordedChange]]]:
-    """Return every change on the nights on which it was seen; one that is hidden for a night stays the same change.
+_VOLUMES = ("gained", "gained_sigma", "gained_least", "gained_most", "lost", "lost_sigma", "lost_least", "lost_most")
 
-    Changes are followed through the nights with the same reference.
-    """
-    tracks: list[list[tuple[RunRecord, RecordedChange]]] = []
+
+def _change_row(night: RunRecord, change: RecordedChange, gone: str) -> GrowthRow:
+    volumes: dict[str, Any] = {}
+    sides = {"new": ("gained",), "vanished": ("lost",)}.get(change.kind, ("gained", "lost"))
+    for side in sides:
+        volumes |= {side: change.volume, f"{side}_sigma": change.volume_sigma}
+        volumes |= {f"{side}_least": change.volume_least, f"{side}_most": change.volume_most}
+    place = {name: getattr(change, name) for name in ("zone", "area", "seen", "x", "y", "z")}
+    return GrowthRow(night.date, night.run, "change", change.id, change.kind, **place, **volumes, begin=change.first, end=gone)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A change, from its first night to its last."""
+
+    change: RecordedChange
+    """As it was on the newest night that has it."""
+    gone: str
+    """The first night on which it was gone (ISO 8601); "" while it lasts."""
+
+    def line(self, unit: str) -> str:
+        """Return it as a line of a table: id, kind, size, place, interval of its volume, nights."""
+        change = self.change
+        size = " x ".join(f"{side:.1f}" for side in (change.length, change.width, change.height))
+        place = f"{change.x:.1f}, {change.y:.1f}"
+        nights = f"{change.first} to {change.last if self.gone else 'now'}"
+        return f"{change.id:5} {change.kind:9} {size:18} {place:14} {change.volume_words(unit):15} {nights}"
+
+
+THINGS_HEAD = f"{'id':5} {'kind':9} {'size':18} {'at':14} {'volume':15} nights"
+"""Heading of the lines of things."""
+
+
+def compared_nights(work: WorkFolder) -> list[RunRecord]:
+    """Return the last run of each night that has found what changed, oldest first."""
+    return [record for record in last_of_nights(newest_runs(work)) if record.compared]
+
+
+def things(nights: Sequence[RunRecord]) -> list[Thing]:
+    """Return every change since the first night, in the order in which they were first seen; those that have ended, too."""
+    newest: dict[str, RecordedChange] = {}
+    gone: dict[str, str] = {}
     for night in nights:
-        known = [track for track in tracks if track[0][0].reference == night.reference]
-        for change in (change for result in night.results.values() for change in result.objects.values()):
-            track = next((t for t in known if t[-1][0] is not night and change.is_same(t[-1][1])), None)
-            if track is None:
-                track = []
-                tracks.append(track)
-            track.append((night, change))
-    return tracks
+        for name, change in night.changes.items():
+            newest[name] = change
+            gone.pop(name, None)
+        for name in newest:
+            if name not in night.changes:
+                gone.setdefault(name, night.date)
+    found = [Thing(change, gone.get(name, "")) for name, change in newest.items()]
+    return sorted(found, key=lambda thing: thing.change.first)
+
+
+def balance_lines(night: RunRecord) -> Iterator[str]:
+    """Yield the volumes gained and lost on the site and in each zone, as lines of text."""
+    unit = night.unit
+    for zone, part in ((zone, part) for result in night.results.values() for zone, part in result.volumes.items()):
+        gained = volume_words((part.gained_least, part.gained_most), (part.gained, part.gained_sigma), unit)
+        lost = volume_words((part.lost_least, part.lost_most), (part.lost, part.lost_sigma), unit)
+        ground = f"{part.area:,.0f} {unit}² seen" if unit else f"{part.area:,.0f} seen"
+        yield f"{zone or 'whole site'}: gained {gained}, lost {lost}; {ground}, {part.unseen:,.0f} not"
 
 
 def as_csv(rows: Iterable[GrowthRow]) -> str:

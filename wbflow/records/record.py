@@ -14,8 +14,8 @@ from wbflow_stages.contracts.camera_figures import Health
 from wbflow_stages.contracts.ground_figures import CloudSize
 
 from ..json_dataclass import FlatJsonDataclass, JsonDataclass
-from ..pipeline.stages import STAGES
-from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
+from ..pipeline.stages import CHANGES, STAGES
+from ..pipeline.summaries import CameraFigures, ChangesSummary, PairFigures, PosesSummary, RecordedChange, SiteSummary
 from ..task import camera_of
 from .findings import Baseline, Down, Verdict
 
@@ -198,6 +198,22 @@ class RunRecord(JsonDataclass):
     def unscaled(self) -> bool:
         """Is there a cloud whose lengths are not metres?"""
         return self.cloud is not None and not self.cloud.metric
+
+    @property
+    def compared(self) -> ChangesSummary | None:
+        """What has changed since the reference; None if the night was compared with none."""
+        result = self.results.get(CHANGES)
+        return result if isinstance(result, ChangesSummary) and result.compared else None
+
+    @property
+    def changes(self) -> Mapping[str, RecordedChange]:
+        """What has changed since the reference, by id."""
+        return self.compared.objects if self.compared else {}
+
+    @property
+    def unit(self) -> str:
+        """The unit of lengths: m, or "" if the scale is unknown."""
+        return "m" if self.poses is None or self.poses.metric else ""
 
     def pairs_of(self, camera: str) -> list[PairRecord]:
         """Return the pairs that a camera is part of."""

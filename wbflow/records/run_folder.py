@@ -22,6 +22,7 @@ from ..cache.lock import Locked, hold
 from ..cache.memo import file_stamp
 from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode, WbflowError
+from ..pipeline.summaries import RecordedChange
 from ..remote import Mirror, writing
 from ..task import Task
 from .events import Event, TaskEvent, event_from_json, event_to_json
@@ -272,6 +273,55 @@ def newest_runs(work: WorkFolder, before: str = "", after: str = "") -> Iterator
             except NoSuchRun:
                 continue
             yield folder, record
+
+
+def compared_before(work: WorkFolder, date: str, reference: str = "") -> Iterator[tuple[RunFolder, RunRecord]]:
+    """Yield the runs of nights before a date that have found what changed: the newest night first, of each night its last run.
+
+    Records are read lazily: a caller can stop as soon as it has seen enough.
+
+    date: ISO 8601; "" for all nights.  reference: only runs compared with the reference of this run id; "": with any.
+    """
+    nights: dict[str, tuple[RunFolder, RunRecord]] = {}  # that have been read, and not yielded yet
+    yielded: set[str] = set()
+    for folder, record in newest_runs(work, after=reference):
+        # 1. this run, unless a later one was of the same night
+        is_wanted = record.compared and (not date or record.date < date) and (not reference or record.reference == reference)
+        if is_wanted and record.date not in yielded:
+            nights.setdefault(record.date, (folder, record))
+        # 2. the nights that no older run can come before: no night is later than the day of its run
+        latest = _next_day(folder.id)
+        for night in sorted(nights, reverse=True):
+            if night >= latest or night == _day_before(date):
+                yielded.add(night)
+                yield nights.pop(night)
+    for night in sorted(nights, reverse=True):
+        yield nights[night]
+
+
+def _next_day(run: str) -> str:
+    """Return the day after a run began (ISO 8601), which is after its night in any time zone."""
+    started = started_by(run)
+    return (started.date() + datetime.timedelta(days=1)).isoformat() if started else ""
+
+
+def _day_before(date: str) -> str:
+    return (datetime.date.fromisoformat(date) - datetime.timedelta(days=1)).isoformat() if date else ""
+
+
+def newest_compared(work: WorkFolder) -> RunRecord | None:
+    """Return the last run of the newest night that has found what changed; None if there is none."""
+    return next((record for _, record in compared_before(work, "")), None)
+
+
+def ended_change(work: WorkFolder, name: str) -> tuple[RecordedChange, str] | None:
+    """Return a change with the first night on which it was gone (ISO 8601); None if no night has a change of this id."""
+    gone = ""
+    for _, record in compared_before(work, ""):
+        if name in record.changes:
+            return record.changes[name], gone or record.date
+        gone = record.date
+    return None
 
 
 def last_of_nights(runs: Iterable[tuple[RunFolder, RunRecord]], most: int = sys.maxsize) -> list[RunRecord]:

@@ -17,7 +17,8 @@ from wbflow_stages.contracts.camera_figures import ExaminedHealth, Health, Shift
 
 from ..cache.layout import WorkFolder
 from ..cache.receipt import Receipt
-from ..pipeline.stages import FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
+from ..pipeline.stages import CHANGES, FRAMES, HEALTH, STAGES, Adapt, Reuse, Source, Stage, ancestors, stage_named
+from ..records.record import RunRecord
 from ..records.reference import Reference
 from ..records.run_folder import last_of_nights, newest_runs
 from ..runner.night import Night
@@ -25,6 +26,7 @@ from ..runner.spec import Input, Joined, Stored, Value, stored_input
 from ..runner.state import Cause, Impossible, State, Waiting, blocked_by, summary_of
 from ..task import Subject, Task, camera_of
 from .copies import restore_to_cache
+from .previous import PreviousNight
 
 USELESS = frozenset({"obscured", "stale", "wrong-scene"})
 """States of a camera that shows nothing of the site tonight."""
@@ -33,6 +35,8 @@ FEWEST = 2
 
 SHIFTS_TYPE = "wbflow_stages.types:ShiftHistory"
 """The type in which a stage gets the shifts of earlier nights; its fields are lists of one number per night, oldest first."""
+USED_IDS_TYPE = "wbflow_stages.contracts.ground_figures:UsedIds"
+"""The type in which a stage gets the ids that changes of earlier nights have."""
 SHIFTS = tuple(shift.name for shift in fields(ShiftHistory))
 """Fields of `SHIFTS_TYPE`; the figures of a camera's health have the same names."""
 MOST_NIGHTS = 14
@@ -85,7 +89,8 @@ class Resolver:
         """Stages with tasks that are forced to run again, and whose results the reference would provide otherwise."""
 
     def input(self, need: Source, task: Task) -> Input:
-        """An input from the reference or, of kind "history", the shifts of the task's camera on earlier nights.
+        """An input from the reference, or from the nights since: of kind "history", the shifts of the task's camera; of kind
+        "previous", the changes of the night before, or the ids in use.
 
         It is absent or empty without a reference, or if tonight's frames are the reference's own.
         """
@@ -93,6 +98,10 @@ class Resolver:
             return Joined({}) if need.joins else None
         if need.kind == "history":
             return Value(SHIFTS_TYPE, self._shift_history.get(camera_of(task.subject[0]), {}))
+        if need.kind == "previous":
+            if need.name == CHANGES:
+                return Stored(Task(CHANGES)).resolved(self._previous_night.receipt())
+            return Value(USED_IDS_TYPE, {"highest": self._previous_night.highest_id})
         if not need.joins:
             wanted = stored_input(need, task)
             return wanted.resolved(self._receipt(wanted.task))
@@ -104,6 +113,26 @@ class Resolver:
             if stored:
                 results[upstream.subject] = stored
         return Joined(results)
+
+    @cached_property
+    def _previous_night(self) -> PreviousNight:
+        reference = self.night.reference
+        return PreviousNight(self.night.cache, str(self.night.date), reference.run if reference else "")
+
+    @property
+    def previous_run(self) -> RunRecord | None:
+        """The run whose changes tonight's go on from; None if there is none."""
+        return self._previous_night.record() if self._compares else None
+
+    @property
+    def lost_nights(self) -> list[str]:
+        """The earlier nights whose changes tonight's would go on from, if the cache still had them."""
+        return self._previous_night.lost if self._compares else []
+
+    @property
+    def _compares(self) -> bool:
+        """Does the night look for changes since a reference?"""
+        return self.night.reference is not None and self.night.takes_part(CHANGES)
 
     @cached_property
     def _shift_history(self) -> dict[str, dict[str, list[float]]]:

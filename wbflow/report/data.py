@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 from ..cache.layout import WorkFolder
 from ..cache.receipt import Receipt
 from ..cache.store import Cache
-from ..pipeline.stages import CHANGES, FRAMES
+from ..pipeline.stages import FRAMES
 from ..pipeline.summaries import RecordedChange
 from ..records.events import Event, TaskEvent
 from ..records.record import CameraRecord, RunRecord
@@ -31,7 +31,7 @@ class Comparison:
 
     date: str
     known: Set[str]
-    """Names of tonight's changes that were already there on the last good night."""
+    """Ids of tonight's changes that were already there on the last good night."""
     gone: Mapping[str, RecordedChange]
     """Changes of the last good night that are there no more."""
     new: int
@@ -106,15 +106,12 @@ class ReportData:
         record, good = self.record, self.last_good
         if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
             return None
-        gone = dict(changes_of(good)) if good.run != record.reference else {}
-        known, new = set[str](), 0
-        for name, change in changes_of(record).items():
-            if match := next((old_name for old_name, old in gone.items() if change.is_same(old)), None):
-                known.add(name)
-                del gone[match]
-            elif not change.acknowledged:
-                new += 1
-        return Comparison(good.date, known, gone, new)
+        tonight = record.changes
+        before = good.changes if good.run != record.reference else {}
+        known = tonight.keys() & before.keys()
+        gone = {name: change for name, change in before.items() if name not in tonight}
+        new = [change for name, change in tonight.items() if name not in before and not change.acknowledged]
+        return Comparison(good.date, known, gone, len(new))
 
     @cached_property
     def reference(self) -> Reference | None:
@@ -146,7 +143,7 @@ class ReportData:
     @property
     def unit(self) -> str:
         """The unit of lengths: m, or "" if the scale is unknown."""
-        return "m" if self.record.poses is None or self.record.poses.metric else ""
+        return self.record.unit
 
     def report_of(self, run: str) -> str:
         """Return the link to another run's report."""
@@ -166,9 +163,3 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether a value is a number, and not a bool."""
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def changes_of(record: RunRecord) -> Mapping[str, RecordedChange]:
-    """Return the changes of a night since the reference, by name."""
-    result = record.results.get(CHANGES)
-    return result.objects if result else {}

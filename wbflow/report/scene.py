@@ -10,7 +10,7 @@ from typing import Any
 
 from ..records.record import CameraRecord
 from ..site.geodesy import origin_of
-from .data import ReportData, changes_of, state_of
+from .data import ReportData, state_of
 
 Vector = tuple[float, float, float]
 Matrix = Sequence[Sequence[float]]
@@ -161,7 +161,7 @@ def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
 
 def _objects(data: ReportData, axes: Axes) -> Iterator[dict[str, Any]]:
     since = data.since_last_good
-    for name, change in changes_of(data.record).items():
+    for name, change in data.record.changes.items():
         at, size = axes.place((change.x, change.y, change.z)), math.hypot(change.length or 0.0, change.width or 0.0)
         yield {"name": name, "kind": change.kind, "at": at, "size": size, "known": since is not None and name in since.known}
 

@@ -13,7 +13,7 @@ from ..cache.receipt import Preimage
 from ..json_dataclass import read_json
 from ..pipeline.meanings import meaning, shown
 from ..pipeline.stages import CHANGES, STAGES
-from ..pipeline.summaries import ChangesSummary, PairFigures, RecordedChange, SiteSummary
+from ..pipeline.summaries import ChangesSummary, PairFigures, RecordedChange, SiteSummary, volume_words
 from ..records.findings import Finding
 from ..records.record import NO_SCALE, STATE_SCALE, CameraRecord, PairRecord, RunRecord
 from ..runner.state import Cause
@@ -21,13 +21,15 @@ from ..site.models import Measure
 from ..task import Task
 from ..verdict.baseline import figures_of
 from ..words import counted, format_value
-from .data import ReportData, changes_of, is_number, state_of
+from .data import ReportData, is_number, state_of
 from .pictures import Picture, Pictures
 
 BADGES = {"good": "as it should be", "warn": "look at it", "bad": "down"}
 """Labels of the camera states."""
 _MOST_OF_A_KIND = 4
 """Largest number of findings of one kind that are shown in full; further ones are folded."""
+_SAID_OF_CHANGES = {"id", "kind", "first", "last", "grown", "news_most", "seen", "acknowledged"}
+"""What a change's title and text say; all else is listed with its figures."""
 _MOST_FIGURES = 8
 """Largest number of figures shown for a stage that a pair reached."""
 
@@ -148,7 +150,7 @@ def facts(data: ReportData) -> Iterator[Fact]:
         if stage in values:
             yield measured_fact(stage, *result.AMOUNT)
     if _is_compared(record):
-        changes, since = changes_of(record), data.since_last_good
+        changes, since = record.changes, data.since_last_good
         notes = [f"{since.new} since {since.date}"] if since and changes else []
         if acknowledged := sum(bool(change.acknowledged) for change in changes.values()):
             notes.append(f"{acknowledged} acknowledged")
@@ -175,7 +177,7 @@ def _is_compared(record: RunRecord) -> bool:
 
 def _changes_sentence(data: ReportData) -> str:
     """Return a sentence with the number and kinds of changes since the reference; "" if there are none."""
-    changes, since = changes_of(data.record), data.since_last_good
+    changes, since = data.record.changes, data.since_last_good
     if not changes or not _is_compared(data.record):
         return ""
     kinds = Counter(change.kind or "other" for change in changes.values())
@@ -321,35 +323,46 @@ def parts(data: ReportData, album: Pictures) -> list[Part]:
 
 
 def _things(data: ReportData, result: SiteSummary, album: Pictures) -> Iterator[Thing]:
-    since = data.since_last_good
     for name, change in result.objects.items():
         file = next((f for f in result.files if f.rpartition(".")[0].endswith(f"-{name}") and is_picture(f)), None)
         title = f"{name}: {change.kind}".rstrip(": ")
         picture = album.of_product(file, f"{title}: then and this night") if file else None
-        when = ""
-        if since:
-            when = f"already so on {since.date}" if name in since.known else f"since {since.date}, the last good night"
-        figures = {key.replace("_", " "): value for key, value in vars(change).items() if key not in {"kind", "acknowledged"}}
+        figures = {}
+        for key, value in vars(change).items():
+            if key not in _SAID_OF_CHANGES:
+                figures[key.replace("_", " ")] = value
+        when = _since(change, data.record.date)
         yield Thing(name, title, _dimensions(change, data.unit), when, change.acknowledged, picture, figures)
 
 
+def _since(change: RecordedChange, night: str) -> str:
+    """Return since when a change is there."""
+    texts = ["new this night" if change.first == night else f"since {change.first}"] if change.first else []
+    if change.grown:
+        texts.append("grown this night" if change.grown == night else f"grew on {change.grown}")
+    if not change.seen:
+        texts.append(f"not seen this night, last on {change.last}")
+    return "; ".join(texts)
+
+
 def _volumes(result: SiteSummary, unit: str) -> Iterator[tuple[str, ...]]:
-    def quantity(value: float, sigma: float | None, power: str) -> str:
-        sigma_text = f" ± {sigma:.1f}" if sigma is not None else ""
-        return f"{value:,.1f}{sigma_text} {f'{unit}{power}' if unit else ''}".strip()
+    def area(value: float) -> str:
+        return f"{value:,.1f} {unit}²" if unit else f"{value:,.1f}"
 
     for zone, part in result.volumes.items():
-        volumes = quantity(part.gained, part.gained_sigma, "³"), quantity(part.lost, part.lost_sigma, "³")
-        yield zone or "whole site", *volumes, quantity(part.area, None, "²"), quantity(part.unseen, None, "²")
+        gained = volume_words((part.gained_least, part.gained_most), (part.gained, part.gained_sigma), unit)
+        lost = volume_words((part.lost_least, part.lost_most), (part.lost, part.lost_sigma), unit)
+        yield zone or "whole site", gained, lost, area(part.area), area(part.unseen)
 
 
 def _dimensions(change: RecordedChange, unit: str) -> str:
-    """Return the size, volume and place of an object, as far as they are known."""
-    size = " × ".join(f"{side:.1f}" for side in (change.length, change.width, change.height) if side is not None)
-    volume, sigma = change.volume, change.volume_sigma
-    volume_text = f"{volume:.1f}" + (f" ± {sigma:.1f}" if sigma else "") + (f" {unit}³" if unit else "") if volume else ""
-    place_text = f"at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}"
-    return "; ".join(filter(None, (f"{size} {unit}".strip(), volume_text and f"volume {volume_text}", place_text)))
+    """Return the size, volume and place of a change."""
+    size = " × ".join(f"{side:.1f}" for side in (change.length, change.width, change.height))
+    texts = [f"{size} {unit}".strip()]
+    if change.volume or change.volume_most:
+        texts.append(f"volume {change.volume_words(unit)}")
+    texts.append(f"at {change.x:.1f}, {change.y:.1f}, {change.z:.1f}")
+    return "; ".join(texts)
 
 
 def is_picture(file: str) -> bool:

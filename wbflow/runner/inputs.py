@@ -51,10 +51,8 @@ class Inputs:
             return self._from_site(need, task)
         if need.kind == "file":
             return self._named_file(need.name, file_of_stage(task.stage, need.name))
-        if need.kind in {"reference", "history"}:
+        if need.kind in {"reference", "history", "previous"}:
             return self.from_reference(need, task)
-        if need.kind == "previous":
-            return None
         if not self._is_made(need):
             return Joined({}) if need.joins else None
         if need.joins:

@@ -13,7 +13,7 @@ from ..cache import artifact
 from ..cache.layout import cloud_name
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
-from ..pipeline.stages import FUSE, POSES, stage_named
+from ..pipeline.stages import CHANGES, FUSE, POSES, stage_named
 from ..pipeline.summaries import PosesSummary
 from ..plugins import load
 from ..records.acknowledgement import Acknowledgement
@@ -26,7 +26,6 @@ from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
 from ..verdict import acknowledge
-from ..verdict.acknowledge import with_known
 from ..verdict.ended import EndedNight
 from ..verdict.rules import facts_of, judge_run
 from ..verdict.run_record import run_record
@@ -79,13 +78,16 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
         unfinished.write(name, data)
         files.setdefault(stage, []).append(name)
     # 2. the record, and what it says of the night
-    ended = EndedNight(night, plan.states, plan.resolver.health, plan.upstreams)
+    ended = EndedNight(night, plan.states, plan.resolver.health, plan.upstreams, plan.resolver.previous_run)
+    for date in plan.resolver.lost_nights:
+        what = f"the changes of the night of {date} are no longer in the cache: tonight's go on from the night before it, if any"
+        journal.warn(what, task=Task(CHANGES), remedy="keep more nights (`keep:` in the site file)")
     record = run_record(run, ended, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
     harmful, harmless = night.files.in_motion(night.site.captures.dated)
     record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
     acknowledged = _acknowledged(night.site, journal)
     facts = replace(facts_of(ended, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
-    record = with_known(judge_run(record, night, facts), acknowledged)
+    record = judge_run(record, night, facts)
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     # 3. the report, and the folder as a whole
     page = draw(night, record, journal, cameras, unfinished.paths.folder)

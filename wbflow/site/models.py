@@ -320,6 +320,8 @@ class Expected(Section):
     coverage: float = Field(default=0.7, ge=0)
     cameras: float = Field(default=1.0, ge=0)
     brightness: float = Field(default=0.35, ge=0, le=1)
+    changes: Literal["none"] | None = None
+    """"none": each change that nobody has acknowledged degrades the night."""
     since: Annotated[str, BeforeValidator(_parse_date)] = ""
     """Nights before this date (ISO 8601) do not contribute to the usual values; "": all nights do."""
 
@@ -382,6 +384,8 @@ class Zone(Section):
     name: str
     polygon: Annotated[list[Vector2], Field(min_length=3)]
     least_m: float = Field(default=0.0, ge=0)
+    expect: Literal["none"] | None = None
+    """"none": each change in it that nobody has acknowledged degrades the night."""
 
 
 def _check_timezone(name: Any) -> Any:
@@ -497,7 +501,10 @@ class Site:
 
     @cached_property
     def _plain_settings(self) -> dict[str, Any]:
-        return self.settings.model_dump(include={"resolution", "bounds", "pairs", "health", "zones"})
+        # what a zone expects is for the verdict: it enters no cache key
+        return self.settings.model_dump(
+            include={"resolution", "bounds", "pairs", "health", "zones"}, exclude={"zones": {"__all__": {"expect"}}}
+        )
 
     def setting(self, key: str) -> Any:
         """The value of a key outside `stages` that sets a parameter of a stage, such as "resolution" or "pairs.degree"."""

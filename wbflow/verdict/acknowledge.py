@@ -1,7 +1,7 @@
 """Acknowledged findings and changes: they stay in the report, but neither degrade a night nor cause a notification.
 
-They are kept beside the site file, and enter the verdict of a night but no cache key.  A change gets another number each night,
-so an acknowledgement stores its kind and position, which are compared as in `RecordedChange.is_same`.
+They are kept beside the site file, and enter the verdict of a night but no cache key.  A change keeps its id for life, so that an
+acknowledgement holds for it alone.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import getpass
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +19,16 @@ import yaml
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
-from ..pipeline.summaries import ChangesSummary, RecordedChange
+from ..pipeline.summaries import ChangesSummary
 from ..records.acknowledgement import Acknowledgement
-from ..records.findings import FINDINGS, Finding
+from ..records.findings import FINDINGS, UNEXPECTED_CHANGE, Finding
 from ..records.record import RunRecord
-from ..records.run_folder import NoSuchRun, RunFolder
+from ..records.run_folder import ended_change, newest_compared
 from ..site.models import Site
+from ..site.yaml_document import suggest
 
-CHANGE = "change"
-"""First word of the name of an acknowledged change."""
-_NAME = re.compile(rf"{CHANGE} (\w+) at (-?\d+\.\d+),(-?\d+\.\d+),(-?\d+\.\d+)")
-"""Name of an acknowledged change: its kind and its position (x, y, z) in metres."""
+CHANGE_ID = re.compile(r"C[1-9]\d*", re.IGNORECASE)
+"""The id of a change."""
 _HEAD = "# What `wbflow acknowledge` says of this site's findings.\n"
 """First line of the file."""
 
@@ -61,30 +60,29 @@ def read(site: Site) -> tuple[Acknowledgement, ...]:
 def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Acknowledgement:
     """Acknowledge a finding or a change, replacing an earlier acknowledgement of it.
 
-    Raises UsageError if there is no such finding, change or camera, or if the finding is one that fails a night.
+    Raises UsageError if there is no such finding, change or camera, if the finding is one that fails a night, or if `until` has
+    passed.
 
     Parameters
     ----------
     site, finding
-        The site; code and subject of the finding, or "change" and its number in the newest run.
+        The site; code and subject of the finding, or the id of a change.
     until, note
         The last night to which it applies (None: all), and why.
     """
-    name = _full_name(site, finding)
-    code, *subject = name.split()
-    if code == CHANGE:
-        subject = []
-    elif code not in FINDINGS or FINDINGS[code].level == "failed":
-        known = ", ".join(kind for kind, row in FINDINGS.items() if row.level != "failed")
-        raise UsageError(f"{code!r} is no finding that can be acknowledged", remedy=f"there are {known}")
-    cameras = {camera.id for camera in site.cameras}
-    unknown = sorted(set(subject) - cameras)
-    if unknown:
-        raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=f"its cameras are {', '.join(sorted(cameras))}")
+    if until and until < site.today():
+        raise UsageError(f"--until {until} has passed: today is {site.today()}", remedy="name a day that is to come, or none")
+    name = _full_name(finding)
+    what = ""
+    if CHANGE_ID.fullmatch(name):
+        what = _standing_change(site, name)
+    else:
+        _check_finding(site, name)
     added = Acknowledgement(
         finding=name,
         by=getpass.getuser(),
         on=site.today().isoformat(),
+        what=what,
         until=until.isoformat() if until else "",
         note=note,
     )
@@ -93,79 +91,71 @@ def add(site: Site, finding: str, until: datetime.date | None, note: str) -> Ack
     return added
 
 
-def drop(site: Site, finding: str) -> None:
-    """Remove an acknowledgement.  Raises UsageError if there is none."""
+def drop(site: Site, finding: str) -> Acknowledgement:
+    """Remove an acknowledgement, and return it.  Raises UsageError if there is none."""
+    name = _full_name(finding)
     entries = read(site)
-    name = _full_name(site, finding)
-    if all(entry.finding != name for entry in entries):
-        known = ", ".join(entry.finding for entry in entries) or "none"
-        raise UsageError(f"{name!r} is not acknowledged", remedy=f"acknowledged: {known}")
-    _write(site, (entry for entry in entries if entry.finding != name))
+    others = [entry for entry in entries if entry.finding != name]
+    if len(others) == len(entries):
+        acknowledged = [entry.finding for entry in entries]
+        remedy = suggest(name, acknowledged, f"acknowledged: {', '.join(acknowledged) or 'nothing'}")
+        raise UsageError(f"{name!r} is not acknowledged", remedy=remedy)
+    _write(site, others)
+    return next(entry for entry in entries if entry.finding == name)
 
 
-def _full_name(site: Site, finding: str) -> str:
-    """Return the name of a finding or change; a change may be given by its number in the newest run ("change 2") or by name."""
-    name = " ".join(finding.split())
-    if name.split(" ")[0] != CHANGE or _change_named(name):
-        return name
-    try:
-        changes = changes_of(RunFolder.of(site.work_folder).record())
-    except NoSuchRun:
-        changes = {}
-    number = name.removeprefix(CHANGE).strip()
-    if number not in changes:
-        known = "; ".join(f"{CHANGE} {name}: {change.kind}" for name, change in changes.items()) or "none"
-        raise UsageError(f"the newest run has no change {number!r}", remedy=f"its changes: {known}")
-    change = changes[number]
-    # a change that is acknowledged already keeps the position that it was acknowledged with
-    for entry in read(site):
-        acknowledged = _change_named(entry.finding)
-        if acknowledged and change.is_same(acknowledged):
-            return entry.finding
-    return f"{CHANGE} {change.kind} at {change.x:.1f},{change.y:.1f},{change.z:.1f}"
+def _full_name(finding: str) -> str:
+    """Return what a user wrote as it is stored: single spaces, and a change by its id alone."""
+    words = finding.split()
+    if words and CHANGE_ID.fullmatch(words[-1]) and words[:-1] in ([], ["change"], [UNEXPECTED_CHANGE]):
+        return words[-1].upper()
+    return " ".join(words)
 
 
-def _change_named(name: str) -> RecordedChange | None:
-    """Return kind and position of a change from its name; None for any other name."""
-    parts = _NAME.fullmatch(name)
-    if parts is None:
-        return None
-    return RecordedChange(parts[1], float(parts[2]), float(parts[3]), float(parts[4]))
+def _check_finding(site: Site, name: str) -> None:
+    """Raise UsageError if there is no such finding, or if it cannot be acknowledged."""
+    code, *subject = name.split()
+    if code not in FINDINGS or FINDINGS[code].level == "failed":
+        known = [kind for kind, row in FINDINGS.items() if row.level != "failed"]
+        guess = "" if code in FINDINGS else suggest(code, known, "")
+        remedy = f"{guess} there are {', '.join(known)}".strip()
+        if code.lower() == "change":
+            remedy = "name the change by its id, such as C17: wbflow acknowledge SITE.yaml  lists them"
+        raise UsageError(f"{code!r} is no finding that can be acknowledged", remedy=remedy)
+    cameras = {camera.id for camera in site.cameras}
+    unknown = sorted(set(subject) - cameras)
+    if unknown:
+        remedy = f"{suggest(unknown[0], cameras, '')} its cameras are {', '.join(sorted(cameras))}".strip()
+        raise UsageError(f"the site has no camera {unknown[0]!r}", remedy=remedy)
 
 
-def changes_of(record: RunRecord) -> Mapping[str, RecordedChange]:
-    """Return the changes of a night by number."""
-    for result in record.results.values():
-        if isinstance(result, ChangesSummary):
-            return result.objects
-    return {}
+def _standing_change(site: Site, name: str) -> str:
+    """Return a change in words.  Raises UsageError if the newest night that was compared does not have it."""
+    newest = newest_compared(site.work_folder)
+    changes = newest.changes if newest else {}
+    unit = newest.unit if newest else ""
+    if name in changes:
+        return changes[name].words(unit)
+    listed = "; ".join(f"{change.id} {change.words(unit)}" for change in changes.values())
+    remedy = f"the changes of the newest night: {listed or 'none'}"
+    ended = ended_change(site.work_folder, name)
+    if ended:
+        change, night = ended
+        what = f"{name} ({change.words(unit)}) is gone since the night of {night}: nothing is left to acknowledge"
+        raise UsageError(what, remedy=remedy)
+    guess = suggest(name, [*changes], "")
+    raise UsageError(f"there is no change {name}", remedy=f"{guess} {remedy}".strip())
 
 
 def with_known(record: RunRecord, known: Iterable[Acknowledgement]) -> RunRecord:
     """Return the record with its acknowledged changes marked."""
-    acknowledged: list[tuple[Acknowledgement, RecordedChange]] = []
-    for entry in known:
-        change = _change_named(entry.finding)
-        if change and entry.holds(record.date):
-            acknowledged.append((entry, change))
-    if not acknowledged:
-        return record
+    words = {entry.finding: entry.words for entry in known if entry.holds(record.date)}
     results = dict(record.results)
     for stage, result in record.results.items():
         if isinstance(result, ChangesSummary) and result.changes:
-            changes = {number: _with_acknowledgement(change, acknowledged) for number, change in result.changes.items()}
+            changes = {name: replace(change, acknowledged=words.get(name, "")) for name, change in result.changes.items()}
             results[stage] = replace(result, changes=changes)
     return replace(record, results=results)
-
-
-def _with_acknowledgement(
-    change: RecordedChange, acknowledged: Iterable[tuple[Acknowledgement, RecordedChange]]
-) -> RecordedChange:
-    """Return a change with the words of the first acknowledgement of it; "" if there is none."""
-    for entry, known_change in acknowledged:
-        if change.is_same(known_change):
-            return replace(change, acknowledged=entry.words)
-    return replace(change, acknowledged="")
 
 
 def split(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from wbflow_stages.contracts.camera_figures import Health
 
 from ..pipeline.stages import FRAMES
+from ..records.record import RunRecord
 from ..runner.night import Night
 from ..runner.state import State
 from ..task import Task
@@ -23,6 +24,8 @@ class EndedNight:
     """The health of a camera, or of the camera of a view; None if it was not examined."""
     upstreams: Callable[[Task], list[Task]]
     """The tasks that provide the inputs of a task."""
+    previous: RunRecord | None = None
+    """The run whose changes tonight's go on from; None if there is none."""
 
     def is_usable(self, stage: str) -> bool:
         """Has a site-wide stage left a result?"""

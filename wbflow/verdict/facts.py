@@ -35,6 +35,8 @@ class Facts:
     acknowledged: tuple[Acknowledgement, ...] = ()
     expected: Expected = field(default_factory=Expected)
     """What the site file expects of good nights."""
+    still_zones: frozenset[str] = frozenset()
+    """Names of the zones in which the site file expects no change."""
     earlier: tuple[RunRecord, ...] = ()
     """The runs before this one, newest first, one for each night."""
 

@@ -25,12 +25,13 @@ from ..runner.night import Night
 from ..runner.state import Cause, State
 from ..site.models import Measure
 from ..task import Task
-from .acknowledge import split
+from .acknowledge import split, with_known
 from .amounts import check_amounts, check_cloud
 from .baseline import earlier_runs, settings_of, usual_before, usual_of, with_appearance
 from .calibration import check_calibration
 from .cameras import check_cameras, with_down
 from .captures import check_captures
+from .changes import check_changes
 from .depths import check_depths
 from .ended import EndedNight
 from .ends import check_end
@@ -53,6 +54,7 @@ CHECKS: tuple[Check, ...] = (
     check_tasks,
     check_cloud,
     check_amounts,
+    check_changes,
 )
 """All checks, in the order in which their findings are reported."""
 
@@ -85,6 +87,7 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
         stopped=tuple(stopped),
         calibration_change=night.calibration_change,
         expected=night.site.settings.expect,
+        still_zones=frozenset(zone.name for zone in night.site.settings.zones or () if zone.expect == "none"),
     )
 
 
@@ -107,8 +110,8 @@ def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:
 
 def judge(record: RunRecord, facts: Facts) -> RunRecord:
     """Return a record, whose usual figures are set, with the health of its cameras, its verdict and its exit code."""
-    # 1. the state of each camera, which the checks build on
-    record = with_appearance(record, facts.expected)
+    # 1. the state of each camera, and the changes that somebody has acknowledged, which the checks build on
+    record = with_known(with_appearance(record, facts.expected), facts.acknowledged)
     cameras = [with_down(camera, record, facts.earlier) for camera in record.cameras]
     record = replace(record, cameras=tuple(cameras))
     # 2. what is wrong with the night, without what somebody has acknowledged

@@ -18,7 +18,8 @@ from ..cache.layout import cloud_name
 from ..cache.versions import installed_versions
 from ..errors import ExitCode
 from ..pipeline.stages import CALIBRATION, DENSE_PAIRS, DEPTH, DISPARITY, FUSE, GEOMETRY, PAIRS, POSES, STAGES, Stage
-from ..pipeline.summaries import CameraFigures, PairFigures, PosesSummary, SiteSummary
+from ..pipeline.summaries import CameraFigures, ChangesSummary, PairFigures, PosesSummary, SiteSummary
+from ..records.changes import with_nights
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.state import Cause, summary_of
 from ..site.models import Site
@@ -89,7 +90,7 @@ def run_record(
         versions=installed_versions(),
         reference=ended.night.reference.run if ended.night.reference else None,
         dated=dated,
-        results=dict(_results(ended, files)),
+        results=dict(_results(ended, files, date)),
     )
 
 
@@ -239,8 +240,8 @@ def _clouds(ended: EndedNight) -> dict[Subject, CloudRecord]:
     return clouds
 
 
-def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterator[tuple[str, SiteSummary]]:
-    """Yield name and summary of each site-wide stage that has one; without a result, a summary that says why."""
+def _results(ended: EndedNight, files: Mapping[str, Collection[str]], date: str) -> Iterator[tuple[str, SiteSummary]]:
+    """Yield name and summary of each site-wide stage that has one; without a result, a summary that says why.  date: tonight."""
     for stage in ended.night.stages:
         if not stage.summary or not issubclass(stage.summary, SiteSummary):
             continue
@@ -251,6 +252,8 @@ def _results(ended: EndedNight, files: Mapping[str, Collection[str]]) -> Iterato
             summary = summary_of(state, stage.summary)
         elif state:
             reason = state.reason
+        if isinstance(summary, ChangesSummary):
+            summary = with_nights(summary, date, ended.previous)
         yield stage.name, replace(summary, files=tuple(sorted(files.get(stage.name, ()))), reason=reason)
 
 

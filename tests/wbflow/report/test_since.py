@@ -15,13 +15,14 @@ from wbflow.records.findings import Verdict
 from wbflow.records.record import RunRecord
 from wbflow.report.data import Comparison, ReportData
 
-CONTAINER = RecordedChange("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2)
-VAN = RecordedChange("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4)
-STACK = RecordedChange("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8)
+CONTAINER = RecordedChange("new", 9.2, 15.3, 1.3, length=6.3, width=2.7, volume=39.2, id="C2")
+VAN = RecordedChange("new", 28.3, 16.3, 1.2, length=4.7, width=2.3, volume=17.4, id="C3")
+STACK = RecordedChange("vanished", 6.8, 20.8, 4.2, length=1.8, width=0.7, volume=3.8, id="C1")
 
 
-def with_changes(record: RunRecord, things: dict[str, RecordedChange], reference: str = "20261101T031500Z") -> RunRecord:
-    return replace(record, reference=reference, results={"changes": ChangesSummary(compared=True, changes=things)})
+def with_changes(record: RunRecord, *things: RecordedChange, reference: str = "20261101T031500Z") -> RunRecord:
+    changes = ChangesSummary(compared=True, changes={thing.id: thing for thing in things})
+    return replace(record, reference=reference, results={"changes": changes})
 
 
 def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
@@ -33,27 +34,27 @@ def compared(tonight: RunRecord, *earlier: RunRecord) -> Comparison | None:
 
 def test_changes_since_the_last_good_night_are_known_new_or_gone() -> None:
     nudged = replace(CONTAINER, x=9.5, volume=38.7)
-    good = with_changes(night("2026-11-18"), {"1": nudged, "2": STACK})
-    bad = replace(with_changes(night("2026-11-19"), {"1": VAN}), verdict=Verdict("degraded"))
-    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER, "2": VAN})
+    good = with_changes(night("2026-11-18"), nudged, STACK)
+    bad = replace(with_changes(night("2026-11-19"), VAN), verdict=Verdict("degraded"))
+    tonight = with_changes(night("2026-11-20"), CONTAINER, VAN)
     since = compared(tonight, bad, good)
     assert since is not None
     assert since.date == "2026-11-18", "the night before was not good"
-    assert since.known == {"1"}
-    assert since.gone == {"2": STACK}
+    assert since.known == {"C2"}
+    assert since.gone == {"C1": STACK}
 
 
 def test_every_change_since_the_night_of_the_reference_is_new() -> None:
     first = replace(night("2026-11-01"), reference=None)
-    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER}, reference=first.run)
+    tonight = with_changes(night("2026-11-20"), CONTAINER, reference=first.run)
     since = compared(tonight, first)
     assert since is not None
     assert (since.known, since.gone) == (set(), {})
 
 
 def test_there_is_no_comparison_without_a_good_night_of_the_same_reference() -> None:
-    other = with_changes(night("2026-11-18"), {"1": CONTAINER}, reference="20261002T031500Z")
-    tonight = with_changes(night("2026-11-20"), {"1": CONTAINER})
+    other = with_changes(night("2026-11-18"), CONTAINER, reference="20261002T031500Z")
+    tonight = with_changes(night("2026-11-20"), CONTAINER)
     assert compared(tonight, other) is None
     assert compared(tonight) is None
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
 from tests.helpers.toy_site import ToySite
+from wbflow.cli.main import main
+from wbflow.site.models import Site
 
 LOST = ("camera-lost", "crane")
 
 
 @pytest.fixture
-def site(toy: ToySite, tmp_path: Path) -> ToySite:
-    """A site whose camera `crane` delivers no captures."""
+def site(toy: ToySite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ToySite:
+    """A site whose camera `crane` delivers no captures; today is the 1st of November."""
+    monkeypatch.setattr(Site, "today", lambda site: datetime.date(2026, 11, 1))
     toy.capture("crane").unlink()
     toy.dated, toy.backend = True, "threading"
     toy.keys = {"notify": {"command": f"echo $WBFLOW_EVENT >> {tmp_path / 'calls'}"}}
@@ -30,11 +35,15 @@ def events(site: ToySite) -> list[str]:
     return calls.read_text().split() if calls.exists() else []
 
 
+def acknowledge(site: ToySite, *words: str) -> Result:
+    return CliRunner().invoke(main, ["acknowledge", str(site.file), *words], env=site.env())
+
+
 def test_an_acknowledged_finding_neither_degrades_a_night_nor_notifies(site: ToySite) -> None:
     site.run("--date", "2026-11-01", code=3)
-    assert "camera-lost crane" in site.wbflow("acknowledge").stdout
-    done = site.wbflow("acknowledge", *LOST, "--until", "2026-11-02", "--note", "new cable")
-    assert done.returncode == 0, done.stderr
+    assert "camera-lost crane" in acknowledge(site).output
+    done = acknowledge(site, *LOST, "--until", "2026-11-02", "--note", "new cable")
+    assert done.exit_code == 0, done.output
     before = events(site)
     record = site.run("--date", "2026-11-02", code=0)
     (known,) = record["verdict"]["acknowledged"]
@@ -49,11 +58,11 @@ def test_an_acknowledged_finding_neither_degrades_a_night_nor_notifies(site: Toy
 
 
 def test_a_finding_counts_again_when_its_acknowledgement_is_dropped(site: ToySite) -> None:
-    site.wbflow("acknowledge", *LOST)
+    acknowledge(site, *LOST)
     site.run("--date", "2026-11-01", code=0)
-    assert site.wbflow("acknowledge", *LOST, "--drop").returncode == 0
+    assert acknowledge(site, *LOST, "--drop").exit_code == 0
     site.run("--date", "2026-11-01", code=3)
-    assert "is not acknowledged" in site.wbflow("acknowledge", *LOST, "--drop").stderr
+    assert "is not acknowledged" in acknowledge(site, *LOST, "--drop").output
 
 
 @pytest.mark.parametrize(
@@ -63,9 +72,9 @@ def test_a_finding_counts_again_when_its_acknowledgement_is_dropped(site: ToySit
 def test_findings_that_cannot_be_acknowledged_are_refused_with_a_remedy(
     site: ToySite, words: tuple[str, ...], remedy: str
 ) -> None:
-    done = site.wbflow("acknowledge", *words)
-    assert done.returncode == 2
-    assert remedy in done.stderr
+    done = acknowledge(site, *words)
+    assert done.exit_code == 2
+    assert remedy in done.output
 
 
 def test_a_faulty_file_of_acknowledgements_is_ignored_with_a_warning(site: ToySite) -> None:

@@ -1,0 +1,67 @@
+"""The changes that a night has found: their first and last nights, which of them are news, and what is said of them.
+
+A change keeps its id ("C17") for life.  Its dates come from the record of the night that it goes on from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..pipeline.summaries import ChangesSummary, RecordedChange
+from ..words import counted
+from .record import RunRecord
+
+MOST_TOLD = 4
+"""Most changes that a line tells of; further ones are counted."""
+
+
+def with_nights(found: ChangesSummary, date: str, previous: RunRecord | None) -> ChangesSummary:
+    """Return the changes of a night with their first and last nights, and with those that are gone.
+
+    Parameters
+    ----------
+    found, date : ChangesSummary, str
+        What has changed, and the night (ISO 8601).
+    previous : RunRecord, optional
+        The run of the night that the changes go on from.
+    """
+    if not found.compared or found.changes is None:
+        return found
+    earlier = previous.changes if previous else {}
+    changes = {name: _with_nights(change, date, earlier.get(name)) for name, change in found.changes.items()}
+    gone = {name: change for name, change in earlier.items() if name not in changes}
+    return replace(found, changes=changes, gone=gone)
+
+
+def _with_nights(change: RecordedChange, date: str, earlier: RecordedChange | None) -> RecordedChange:
+    if earlier is None:
+        return replace(change, first=date, last=date, news_most=change.volume_most)
+    first, last = earlier.first, date if change.seen else earlier.last
+    # its volume has grown for certain once its interval lies above that of the night when it was last news
+    if change.volume_least > earlier.news_most:
+        return replace(change, first=first, last=last, grown=date, news_most=change.volume_most)
+    return replace(change, first=first, last=last, grown=earlier.grown, news_most=earlier.news_most)
+
+
+def open_changes(record: RunRecord) -> list[RecordedChange]:
+    """Return the changes that nobody has acknowledged: those that are new or have grown tonight, then the older ones."""
+    unacknowledged = [change for change in record.changes.values() if not change.acknowledged]
+    return sorted(unacknowledged, key=lambda change: change.news != record.date)
+
+
+def night_words(record: RunRecord) -> str:
+    """Return what has changed on a night, in a line; "" if nothing has, or if everything is acknowledged.
+
+    For example "2 changes: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02 6.1 x 2.4 x 2.6 m at 4.0, 7.5".
+    """
+    told = open_changes(record)
+    words = ""
+    if told:
+        texts = [f"{change.id} {change.words(record.unit, record.date)}" for change in told[:MOST_TOLD]]
+        if len(told) > MOST_TOLD:
+            texts.append(f"and {len(told) - MOST_TOLD} more")
+        words = f"{counted(len(told), 'change')}: {'; '.join(texts)}"
+    gone = ", ".join(record.compared.gone if record.compared else ())
+    if gone:
+        words += f"{'; ' if words else ''}{gone} gone"
+    return words
