@@ -15,8 +15,9 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ..types import NEW, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
+from ..types import NEW, SAME, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
 
 MOST_POINTS = 600_000
 """Largest number of points in a stream: a browser can turn them without a graphics card."""
@@ -34,6 +35,15 @@ _COMPRESSION = 5
 """Compression level of zlib: 6 takes half as long again and saves half a percent."""
 _MOST_CHANGES = MOST_POINTS // 6
 """Largest number of points in the stream of changes, which is shown beside that of the cloud."""
+_NEW = 0.0
+_UNCHANGED = 1.0
+_VANISHED = 2.0
+"""Values of the layer `kind` of the stream of changes."""
+_NEIGHBOURHOOD = 6.0
+"""Unchanged points within this many spacings of a new one are in the stream of changes: the page looks for the nearest point
+within three spacings of each point of the cloud, so that all which can be nearest are there."""
+_SPACING_SAMPLE = 2000
+"""Number of points from which the spacing of the stream of changes is estimated."""
 _MOST_SAMPLES = 600
 """Most points listed in the header, which show where the points are without unpacking."""
 
@@ -46,6 +56,8 @@ class Layer(NamedTuple):
     unit: str
     in_ratios: bool = False
     """Coded logarithmically, from the least to the most."""
+    ends: tuple[float, float] | None = None
+    """Ends of the colour scale; None: those of most values."""
 
 
 def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
@@ -69,14 +81,40 @@ def cloud_view(cloud: Cloud, most: int = MOST_POINTS) -> bytes:
 
 
 def changes_view(changes: Changes) -> bytes:
-    """The stream of new and vanished points; the layer `kind` is 1 for vanished ones."""
-    chosen = np.isin(changes.label, (NEW, VANISHED)) & (changes.blob > 0)
-    points = changes.points[chosen].astype(np.float64)
-    kind = (changes.label[chosen] == VANISHED).astype(np.float32)
+    """The stream of new and vanished points, and of the unchanged ones around new ones, so that each point of the night's cloud
+    has a nearest neighbour that says whether it has changed.  The layer `kind` is 0 (new), 1 (unchanged) or 2 (vanished)."""
+    new = (changes.label == NEW) & (changes.blob > 0)
+    vanished = (changes.label == VANISHED) & (changes.blob > 0)
+    spacing = _spacing(changes.points[new | vanished])
+    unchanged = _near(changes.points, changes.label == SAME, new, _NEIGHBOURHOOD * spacing)
+
+    chosen = new | vanished | unchanged
+    kind = np.select([new[chosen], unchanged[chosen]], [_NEW, _UNCHANGED], _VANISHED)
     values = np.column_stack([changes.colors[chosen], kind]).astype(np.float32)
-    points, values, voxel = _thinned(points, values, _MOST_CHANGES)
-    layers = {"kind": Layer(values[:, 3], "")}
-    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, voxel, int(chosen.sum()))
+    points, values, voxel = _thinned(changes.points[chosen].astype(np.float64), values, _MOST_CHANGES)
+    # what was thinned has the spacing of its voxels; otherwise it keeps its own
+    spacing = max(voxel, spacing) if len(points) < int(chosen.sum()) else spacing
+    layers = {"kind": Layer(np.rint(values[:, 3]), "", ends=(_NEW, _VANISHED))}
+    return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, spacing, int((new | vanished).sum()))
+
+
+def _spacing(points: Float64s) -> float:
+    """Median distance of points (n, 3) from their nearest neighbours; 1 if there are fewer than two."""
+    if len(points) < 2:
+        return 1.0
+    sample = points[:: max(1, len(points) // _SPACING_SAMPLE)]
+    distances, _ = cKDTree(points).query(sample, k=2)  # the nearest point of each is itself
+    return max(float(np.median(distances[:, 1])), _LEAST_EXTENT)
+
+
+def _near(points: Float64s, candidates: Bools, chosen: Bools, reach: float) -> Bools:
+    """(n,) the candidates among points (n, 3) that have a chosen point within reach."""
+    near = np.zeros(len(points), bool)
+    if not chosen.any() or not candidates.any():
+        return near
+    distances, _ = cKDTree(points[chosen]).query(points[candidates], distance_upper_bound=reach)
+    near[np.flatnonzero(candidates)[np.isfinite(distances)]] = True
+    return near
 
 
 def thinned_view(stream: bytes, most: int) -> bytes:
@@ -216,6 +254,8 @@ def _coded(layer: Layer) -> tuple[Uint8s, dict[str, float]]:
         if high <= low:
             low = float(known.min())
             high = float(known.max())
+    if layer.ends is not None:
+        low, high = layer.ends
     legend = {"low": round(low, 4), "high": round(high, 4)}
 
     # 2. A logarithmic layer codes all values instead, between ends that are rounded, as the browser reads them.

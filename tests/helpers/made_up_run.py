@@ -16,7 +16,7 @@ from wbflow.cache.checksum import content_digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.receipt import Preimage, Receipt
 from wbflow.cache.store import Cache
-from wbflow.pipeline.stages import FRAMES, FUSE, GEOMETRY, STAGES
+from wbflow.pipeline.stages import CHANGES, FRAMES, FUSE, GEOMETRY, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.findings import Finding, Verdict
@@ -112,8 +112,26 @@ def site(folder: Path, ids: list[str]) -> Site:
     return load_site(folder / "site.yaml", folder / "work")
 
 
-def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int, int] = (160, 90), nights: int = 2) -> Path:
-    """Publish a night and a few nights before it in the work folder; return the file of the night's page."""
+def page(
+    folder: Path,
+    night: RunRecord,
+    points: int = 900,
+    pictures: tuple[int, int] = (160, 90),
+    nights: int = 2,
+    changes: bytes = b"",
+    crop: bytes = b"",
+) -> Path:
+    """Publish a night and a few nights before it in the work folder; return the file of the night's page.
+
+    Parameters
+    ----------
+    folder, night : Path, RunRecord
+        Where, and what.
+    points, pictures, nights : int, tuple of int, int
+        Number of points of the cloud, size of the pictures, and number of nights before.
+    changes, crop : bytes
+        The stream of changed points, and the picture of each change (JPEG); b"" for none.
+    """
     ids = [camera.id for camera in night.cameras]
     described = site(folder, ids)
     work = described.work_folder
@@ -132,6 +150,8 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         events += _made(work, Task(row.name, subject), {name: every[name] for name in row.products.product_files})
     if night.cloud:
         events += _made(work, Task(FUSE), {"view": cloud_view(bowl(points))})
+    if changes:
+        events += _made(work, Task(CHANGES), {"view": changes})
     for pair in (p for p in night.pairs if not p.ok):
         tried = Task(GEOMETRY, (pair.left, pair.right))
         events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))
@@ -144,6 +164,9 @@ def page(folder: Path, night: RunRecord, points: int = 900, pictures: tuple[int,
         earlier.publish(before, [], "")
     unfinished = UnfinishedRun(work, night.run)
     placed = cameras(ids) if night.cloud else {}
+    for result in night.results.values():
+        for name in result.files if crop else ():
+            unfinished.write(name, crop)
     reported = build_report(ReportData(Cache(work), night, tuple(events), placed, unfinished.paths.folder, described))
     return unfinished.publish(night, events, reported).paths.report
 

@@ -132,9 +132,9 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
         yield f"← {previous.date}", data.report_of(previous.run)
         if data.last_good and data.last_good.run != previous.run:
             yield f"last good night, {data.last_good.date}", data.report_of(data.last_good.run)
-    later = [run for run in data.work.run_ids() if run > data.record.run]
-    if later:
-        yield "newest run →", data.report_of(later[-1])
+    # the link always leads to the newest night, however old this page is; a file stands for it where there are no links
+    if data.work.latest.is_symlink() or not data.work.latest.exists():
+        yield "newest night →", data.report_of(data.work.latest.name)
 
 
 def _when(data: ReportData) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from wbflow_stages.exports.view import cloud_view
-from wbflow_stages.types import Cloud
+from wbflow_stages.exports.view import changes_view, cloud_view
+from wbflow_stages.types import NEW, SAME, VANISHED, Changes, Cloud, GroundGrid
 
 
 def bowl(count: int) -> Cloud:
@@ -67,3 +67,36 @@ def test_a_large_cloud_is_thinned_to_evenly_spread_means(count: int) -> None:
     distance, nearest = cKDTree(cloud.points).query(places)
     assert distance.max() < head["voxel"]
     assert np.abs(colors[:, 0].astype(float) - cloud.colors[nearest, 0]).max() < 12 * 2 * head["voxel"] + 1
+
+
+def compared(points: np.ndarray, label: np.ndarray, blob: np.ndarray) -> Changes:
+    """A comparison of nights with these points (n, 3), labels and changes."""
+    flat = np.zeros(len(points), np.float32)
+    grey = np.full((len(points), 3), 90, np.uint8)
+    grid = GroundGrid(np.eye(3), 0.0, 0.0, 1.0, 1, 1)
+    labels = label.astype(np.uint8), blob.astype(np.uint16)
+    return Changes(True, {}, points, grey, flat, flat, flat, *labels, grid, np.zeros((1, 1), np.float32))
+
+
+def test_the_stream_of_changes_has_what_is_unchanged_around_what_is_new() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(100.0), np.arange(100.0)))
+    points = np.column_stack([x, y, np.zeros(len(x))])
+    label = np.where((x < 10) & (y < 10), NEW, SAME)
+    label[x > 90] = VANISHED
+    stream = changes_view(compared(points, label, label != SAME))
+    head, places, _ = unpacked(stream)
+    (layer,) = head["layers"]
+    coded = np.frombuffer(zlib.decompress(stream[4 + struct.unpack_from("<I", stream)[0] :]), np.uint8).reshape(-1, head["n"])[-1]
+    kind = layer["low"] + (layer["high"] - layer["low"]) * coded / 255
+    assert head["voxel"] == pytest.approx(1.0), "the spacing of the points, not of the site"
+    assert head["total"] == 100 + 900
+    assert [np.count_nonzero(np.rint(kind) == k) for k in (0, 2)] == [100, 900]
+    unchanged = places[np.rint(kind) == 1]
+    assert 0 < len(unchanged) < 300
+    assert cKDTree(points[label == NEW]).query(unchanged)[0].max() <= 6.01
+
+
+def test_a_night_without_changes_has_an_empty_stream() -> None:
+    points = np.zeros((50, 3))
+    stream = changes_view(compared(points, np.full(50, SAME), np.zeros(50)))
+    assert json.loads(stream[4 : 4 + struct.unpack_from("<I", stream)[0]])["n"] == 0

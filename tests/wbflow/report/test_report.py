@@ -168,6 +168,72 @@ def test_clicked_points_are_measured_and_restored_from_a_link(browser: Any, page
     browser.execute_script("history.replaceState(null, '', location.pathname); Object.assign(view, view.home); view.draw()")
 
 
+def test_what_is_measured_stands_beside_the_line_in_the_view_and_on_the_map(browser: Any) -> None:
+    settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    press(browser, "measure")
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    for across, down in ((-40, 0), (40, 6)):
+        webdriver.ActionChains(browser, duration=0).move_to_element_with_offset(canvas, across, down).click().perform()
+    distance = browser.execute_script("return measure.labels()[0].text")
+    assert re.fullmatch(r"\d+\.\d\d ± \d\.\d\d m", distance)
+    box = browser.find_element("css selector", "#view .measured")
+    assert f"distance {distance}" in box.text
+    view, shown = browser.find_element("css selector", "#view").rect, box.rect
+    assert view["y"] <= shown["y"] and shown["y"] + shown["height"] <= view["y"] + view["height"]
+    assert browser.execute_script("return document.querySelector('.measuring text').textContent") == distance
+    press(browser, "undo")
+    assert browser.execute_script("return measure.points.length") == 1
+    press(browser, "measure")
+
+
+def test_a_double_click_is_one_point_and_does_not_move_the_view(browser: Any) -> None:
+    settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
+    pose = browser.execute_script(POSE)
+    press(browser, "measure")
+    canvas = browser.find_element("css selector", "#view canvas.over")
+    webdriver.ActionChains(browser, duration=0).move_to_element(canvas).double_click().perform()
+    assert browser.execute_script("return measure.points.length") == 1
+    plan = browser.find_element("css selector", ".plan svg")
+    webdriver.ActionChains(browser, duration=0).move_to_element(plan).double_click().perform()
+    assert browser.execute_script("return measure.points.length") == 2
+    settled(browser, lambda: None)
+    assert browser.execute_script(POSE) == pose
+    press(browser, "measure")
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        (-0.0277, "m", "-2.8 cm"),
+        (0.03, "m", "3 cm"),
+        (0.456, "m", "46 cm"),
+        (8.4449, "m", "8.44 m"),
+        (124.3, "m", "124 m"),
+        (0.0042, "m", "4.2 mm"),
+        (12.3, "mm", "1.2 cm"),
+        (3.21, "mm", "3.2 mm"),
+        (0.0, "m", "0 m"),
+        (7.0, "cameras", "7 cameras"),
+        (0.93, "", "0.93"),
+    ],
+)
+def test_values_are_shown_in_units_that_a_person_would_use(browser: Any, value: float, unit: str, words: str) -> None:
+    assert browser.execute_script("return inWords(arguments[0], arguments[1])", value, unit) == words
+
+
+def test_sliders_and_legends_show_values_with_units(browser: Any) -> None:
+    shown = "return [...document.querySelectorAll('.measures label output')].map(e => e.textContent)"
+    low, high = browser.execute_script(shown)
+    assert re.fullmatch(r"-?[\d.]+ (m|cm)", low) and re.fullmatch(r"[\d.]+ m", high)
+    move = "const s = document.querySelector('[data-clip=low]'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
+    browser.execute_script(move, 500)
+    assert browser.execute_script(shown)[0] != low
+    browser.execute_script(move, 0)
+    browser.execute_script("document.querySelector('[data-mode=height]').click()")
+    assert re.fullmatch(r"-?[\d.]+ (m|cm)", browser.find_element("css selector", ".legend .low").text)
+    browser.execute_script("document.querySelector('[data-mode=photograph]').click()")
+
+
 def test_points_below_the_clipping_height_are_not_drawn(browser: Any) -> None:
     whole, _ = settled(browser, lambda: browser.execute_script("Object.assign(view, view.home); view.draw()"))
     move = "const s = document.querySelector('[data-clip=low]'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
@@ -235,7 +301,38 @@ def test_nothing_overflows_on_a_phone(browser: Any, scheme: str) -> None:
     assert browser.execute_script("return document.documentElement.scrollWidth") == 390
     ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 150) == (scheme == "dark")
+    small = """return [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('canvas'))
+        .filter(e => [...e.childNodes].some(n => n.nodeType === 3 && n.textContent.trim()))
+        .filter(e => !['title', 'STYLE', 'SCRIPT', 'TEMPLATE'].includes(e.tagName))
+        .map(e => [e, e.getScreenCTM ? e.getScreenCTM().a : 1])
+        .map(([e, scale]) => [parseFloat(getComputedStyle(e).fontSize) * scale, e.outerHTML.slice(0, 80)])
+        .filter(([size]) => size < 11)"""
+    assert browser.execute_script(small) == []
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_where_no_pointer_can_rest_a_tap_shows_the_meaning(page: Path) -> None:
+    with chromium(390, 844) as driver:
+        driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        driver.get(page.as_uri())
+        until(driver, "return document.querySelector('#view').dataset.state === 'ready'")
+        text = driver.find_element("css selector", "#pairs > p").text
+        assert "Tap a figure for its meaning" in text and "pointer" not in text
+        driver.execute_script(
+            "document.querySelector('#pairs details').open = true; document.querySelector('#pairs td[title]').click()"
+        )
+        shown = driver.find_element("css selector", "#meaning")
+        assert shown.is_displayed()
+        assert shown.text == driver.execute_script("return document.querySelector('#pairs td[title]').title")
+        driver.execute_script("document.querySelector('[data-do=measure]').click()")
+        assert "tap points" in driver.find_element("css selector", "#view .measured").text
+
+
+def test_every_page_leads_to_the_newest_night(page: Path) -> None:
+    assert '<a href="../latest/report.html">newest night →</a>' in page.read_text()
+    assert (page.parent.parent / "latest" / "report.html").resolve().is_file()
 
 
 def test_the_page_of_a_hundred_cameras_is_complete_and_below_15_mb(tmp_path: Path) -> None:

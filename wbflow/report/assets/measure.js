@@ -62,12 +62,9 @@ class Measure {
   text() {
     if (!this.points.length) return "";
     const unit = this.axes.unit, last = this.world(this.points.at(-1).p), place = this.geodetic(last);
-    const lines = [last.map(v => v.toFixed(2)).join("  ") + (unit ? ` ${unit}` : "")];
+    const lines = [last.map(v => v.toFixed(2)).join("  ") + (unit ? ` ${unit}` : "")]; // coordinates are always in the unit of the world
     if (place) lines.push(`${place[0].toFixed(7)}, ${place[1].toFixed(7)}, ${place[2].toFixed(2)} m`);
-    for (const [name, value, sigma] of this.figures()) {
-      const square = name === "area" ? "²" : "";
-      lines.push(`${name} ${value.toFixed(2)}${sigma === null ? "" : ` ± ${sigma.toFixed(2)}`}${unit ? ` ${unit}${square}` : ""}`);
-    }
+    for (const [name, value, sigma] of this.figures()) lines.push(`${name} ${inWords(value, name === "area" ? unit && `${unit}²` : unit, sigma)}`);
     return lines.join("\n");
   }
   geodetic(w) { // latitude, longitude (degrees), height: WGS 84
@@ -97,7 +94,7 @@ class Measure {
   }
   // ---- what is shown
   show() {
-    const words = this.on ? this.text() || "click points of the cloud; Enter takes the middle of the view, Backspace takes one back" : "";
+    const words = this.on ? this.text() || (matchMedia("(hover: none)").matches ? "tap points of the cloud" : "click points of the cloud; Enter takes the middle of the view, Backspace takes one back") : "";
     for (const place of this.words) place.textContent = words;
     const known = this.on ? this.profile().filter(Boolean) : [];
     this.svg.toggleAttribute("hidden", known.length < 2);
@@ -106,7 +103,7 @@ class Measure {
       const x = t => 4 + 292 * (t - t0) / Math.max(t1 - t0, 1e-9), y = z => 70 - 64 * (z - low) / Math.max(high - low, 1e-9), list = of => of.map(([t, z]) => `${x(t).toFixed(1)},${y(z).toFixed(1)}`).join(" ");
       this.svg.querySelector("polygon").setAttribute("points", list([...known.map(q => [q.t, q.z + q.s]), ...known.toReversed().map(q => [q.t, q.z - q.s])]));
       this.svg.querySelector("polyline").setAttribute("points", list(known.map(q => [q.t, q.z])));
-      this.svg.querySelector("text").textContent = `${(high - low).toFixed(2)} ${this.axes.unit}`;
+      this.svg.querySelector("text").textContent = inWords(high - low, this.axes.unit);
     }
     this.root.dataset.measured = this.points.length; this.view.draw(); this.drawPlan();
   }
@@ -118,10 +115,24 @@ class Measure {
     if (spots.length > 2 && spots.every(Boolean)) { ink.closePath(); ink.globalAlpha = 0.15; ink.fill(); ink.globalAlpha = 1; }
     ink.stroke();
     for (const s of spots) if (s) { ink.beginPath(); ink.arc(s[0], s[1], 4, 0, 7); ink.fill(); }
+    for (const {text, place, isArea} of this.labels()) { // an area gives way to what stands there already
+      const s = this.view.project(place, camera);
+      if (s) this.view.word(text, s[0], s[1] + (isArea ? 16 : -8), !isArea);
+    }
+  }
+  labels() { // what stands beside the line in the view: the length of each of its segments, and the area
+    const n = this.points.length, {unit} = this.axes, middle = points => [0, 1, 2].map(k => points.reduce((sum, p) => sum + p[k], 0) / points.length), labels = [];
+    for (let k = 1; k < n; k++) {
+      const [a, b] = [this.points[k - 1], this.points[k]], sigma = a.sigma === null || b.sigma === null ? null : Math.hypot(a.sigma, b.sigma);
+      labels.push({text: inWords(Math.hypot(...plus(b.p, a.p, -1)), unit, sigma), place: middle([a.p, b.p])});
+    }
+    const area = this.figures().find(([name]) => name === "area");
+    if (area) labels.push({text: inWords(area[1], unit && `${unit}²`, area[2]), place: middle(this.points.map(q => q.p)), isArea: true});
+    return labels;
   }
   // ---- the map
   onPlan(e) {
-    if (!this.on || e.target.closest("[data-fly]")) return;
+    if (!this.on || e.detail > 1 || e.target.closest("[data-fly]")) return; // a double click is one point
     const {left, top, scale} = this.plan.firstElementChild.dataset, svg = this.plan.querySelector("svg");
     const at = new DOMPoint(e.clientX, e.clientY).matrixTransform(svg.getScreenCTM().inverse()), p = this.below(+left + at.x / scale, top - at.y / scale);
     if (p) this.add(p);
@@ -131,6 +142,11 @@ class Measure {
     const {left, top, scale} = this.plan.firstElementChild.dataset, drawing = this.plan.querySelector(".measuring");
     const spots = this.points.map(({p}) => [(p[0] - left) * scale, (top - p[1]) * scale].map(v => v.toFixed(1)));
     drawing.querySelector("polygon").setAttribute("points", spots.join(" ")); drawing.querySelector("path").setAttribute("d", spots.map(s => `M${s}h0`).join(""));
+    for (const old of drawing.querySelectorAll("text")) old.remove();
+    for (const {text, place, isArea} of this.labels()) {
+      const label = drawing.appendChild(document.createElementNS(drawing.namespaceURI, "text"));
+      label.textContent = text; label.setAttribute("x", (place[0] - left) * scale); label.setAttribute("y", (top - place[1]) * scale + (isArea ? 20 : -8)); label.setAttribute("text-anchor", "middle");
+    }
   }
   // ---- the address
   hash() {

@@ -53,7 +53,44 @@ function differences(now, then) {
   }
 }
 
-for (const both of document.querySelectorAll(".both")) { // a camera's pictures of two nights, one over the other
+// The two pictures that lie beside each other in one, with a white gap between them; null if there is only one.
+function halvesOf(image) {
+  const wide = image.naturalWidth, high = image.naturalHeight, canvas = document.createElement("canvas"), pen = canvas.getContext("2d", {willReadFrequently: true});
+  canvas.width = wide; canvas.height = high; pen.drawImage(image, 0, 0);
+  const data = pen.getImageData(0, 0, wide, high).data, white = x => {
+    for (let y = 0; y < high; y++) for (let c = 0; c < 3; c++) if (data[4 * (y * wide + x) + c] < 200) return false; // less than 255: JPEG blurs it
+    return true;
+  };
+  let left = 0, right = 0; // the widest white strip
+  for (let x = Math.floor(0.2 * wide); x < 0.8 * wide; x++) {
+    const from = x;
+    while (x < 0.8 * wide && white(x)) x++;
+    if (x - from > right - left) { left = from; right = x; }
+  }
+  if (right - left < 2 || right - left > 12) return null;
+  return [[0, left], [right, wide]].map(([from, to]) => {
+    const half = document.createElement("canvas");
+    half.width = to - from; half.height = high; half.getContext("2d").drawImage(image, from, 0, to - from, high, 0, 0, to - from, high);
+    return half;
+  });
+}
+for (const place of document.querySelectorAll(".wipe")) { // a change's place on two nights, one over the other
+  const lay = () => {
+    const image = place.querySelector("img"), halves = image && halvesOf(image);
+    if (!halves || place.querySelector(".both")) return;
+    const both = document.querySelector("#wipe").content.firstElementChild.cloneNode(true), [then, now] = both.querySelectorAll(".date");
+    halves[0].className = "then"; both.prepend(halves[0]); both.querySelector(".now").append(halves[1]);
+    then.textContent = place.dataset.then; now.textContent = place.dataset.now;
+    both.style.aspectRatio = `${halves[1].width} / ${halves[1].height}`; both.style.setProperty("--wide", halves[1].width / halves[1].height);
+    both.querySelector("input").ariaLabel = `left of it: ${place.dataset.then}; right of it: ${place.dataset.now}`;
+    both.querySelector("input").addEventListener("input", e => both.style.setProperty("--at", `${e.target.value}%`));
+    place.prepend(both); place.classList.add("laid");
+  };
+  const image = place.querySelector("img");
+  if (image?.complete && image.naturalWidth) lay(); else image?.addEventListener("load", lay);
+}
+
+for (const both of document.querySelectorAll(".both:has(img.then)")) { // a camera's pictures of two nights, one over the other
   const then = both.querySelector(".then"), H = (then.dataset.onto || "").split(" ").map(Number);
   both.querySelector("input").addEventListener("input", e => both.style.setProperty("--at", `${e.target.value}%`));
   const lay = () => { // from the unit square to pixels of the page

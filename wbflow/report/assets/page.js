@@ -30,6 +30,15 @@
 
   if (matchMedia("(max-width: 700px)").matches) for (const fold of $$("details.at-length")) fold.open = false; // on a phone, to keep the page short
 
+  const meaning = $("#meaning");
+  let shown = 0;
+  addEventListener("click", e => { // where no pointer can rest, a tap shows what would appear below it
+    if (!matchMedia("(hover: none)").matches || e.target.closest("a, button, input, summary")) return;
+    const described = e.target.closest("[title]"), text = described?.title || e.target.querySelector?.(":scope > title")?.textContent || "";
+    clearTimeout(shown); meaning.hidden = !text; meaning.textContent = text;
+    if (text) shown = setTimeout(() => { meaning.hidden = true; }, 6000);
+  });
+
   addEventListener("beforeprint", () => { for (const fold of $$("details")) fold.open = true; });
 
   const words = $("#first .words"), more = () => words.classList.toggle("more", words.scrollHeight - words.clientHeight - words.scrollTop > 8);
@@ -40,14 +49,15 @@
   const message = $(".message", root);
   const scene = JSON.parse(stored.textContent), view = window.view = new CloudView(root, scene);
 
-  const legend = $(".legend"), number = v => Math.abs(v) >= 100 ? v.toFixed(0) : +v.toPrecision(3);
+  const axes = scene.axes, legend = $(".legend"), changesKey = $(".key.changes");
   function colour(mode) {
     view.mode = mode; view.draw();
     for (const button of $$("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
     const layer = view.sets[0]?.points.layers[mode];
     legend.hidden = !layer;
+    if (changesKey) changesKey.hidden = mode !== "change";
     if (!layer) return;
-    $(".low", legend).textContent = `${number(layer.low)} ${layer.unit}`; $(".high", legend).textContent = `${number(layer.high)} ${layer.unit}`;
+    $(".low", legend).textContent = inWords(layer.low, layer.unit); $(".high", legend).textContent = inWords(layer.high, layer.unit);
     $(".ramp", legend).style.background = rampCss(rampOf(mode));
   }
   for (const button of $$("[data-mode]")) button.addEventListener("click", () => colour(button.dataset.mode));
@@ -62,6 +72,7 @@
   view.keys = key => key === "Enter" ? (measure.addMiddle(), true) : key === "Backspace" ? (measure.undo(), true) : key === "Escape" ? (does.measure(), true) : false;
   Object.assign(does, {
     measure: () => { measure.active = !measure.on; for (const button of $$("[data-do=measure]")) button.setAttribute("aria-pressed", String(measure.on)); $(".place", root).textContent = ""; },
+    undo: () => measure.undo(),
     copy: b => copied(b, measure.text() || $(".place", root).textContent),
     blink: () => window.nights?.blink(!window.nights.timer),
     link: b => { history.replaceState(null, "", measure.hash()); copied(b, location.href); },
@@ -72,6 +83,11 @@
   function clips() { // only points between the two heights are drawn
     const cut = v => view.span[0] + (view.span[1] - view.span[0]) * v / 1000, [low, high] = [+lowest.value, +highest.value];
     view.clip = low <= 0 && high >= 1000 ? null : [low <= 0 ? -1e9 : cut(low), high >= 1000 ? 1e9 : cut(high)]; view.draw();
+    sayClips();
+  }
+  function sayClips() { // beside the sliders, heights as the world counts them
+    const cut = v => view.span[0] + (view.span[1] - view.span[0]) * v / 1000 + dot(axes.rows[2], axes.origin);
+    for (const slider of [lowest, highest]) slider.parentNode.querySelector("output").textContent = inWords(cut(+slider.value), axes.unit);
   }
   for (const slider of [lowest, highest]) slider.addEventListener("input", clips);
   function openLink() {
@@ -92,7 +108,6 @@
     $("img", inset).hidden = !image; if (image) $("img", inset).src = image.src;
     $("figcaption", inset).textContent = [cam.id, cam.note].filter(Boolean).join(": ");
   };
-  const axes = scene.axes;
   view.onPlace = p => { // where that is, in the world
     const world = p && [0, 1, 2].map(k => axes.origin[k] + axes.rows[0][k] * p[0] + axes.rows[1][k] * p[1] + axes.rows[2][k] * p[2]);
     $(".place", root).textContent = world ? world.map(v => v.toFixed(2)).join("  ") + (axes.unit ? ` ${axes.unit}` : "") : "";
@@ -148,6 +163,7 @@
     root.dataset.state = view.sets.length ? "ready" : "empty";
     const heights = view.sets[0]?.points.at.filter((_, k) => k % 3 === 2).sort() || [0, 1];
     view.span = [heights[Math.floor(0.001 * heights.length)], heights[Math.ceil(0.999 * (heights.length - 1))]];
+    if (lowest) sayClips();
     if (location.hash.startsWith("#colour=")) colour(location.hash.slice(8)); else openLink();
   })();
 })();

@@ -51,8 +51,71 @@ const DIVERGING = Uint32Array.from({length: 256}, (_, i) => { // blue: lower tha
 const rampOf = mode => mode === "difference" ? DIVERGING : RAMP;
 const rampCss = ramp => `linear-gradient(90deg, ${[0, 64, 128, 192, 255].map(i => `rgb(${ramp[i] & 255},${ramp[i] >> 8 & 255},${ramp[i] >> 16 & 255})`).join(", ")})`;
 
+// A value, with its standard deviation if it has one, as a person would say it: lengths as 8.44 m, 3.2 cm or 4 mm.
+function inWords(value, unit, sigma = null) {
+  const isLength = unit === "m" || unit === "mm", metres = isLength && unit === "mm" ? 0.001 : 1;
+  const size = metres * Math.max(Math.abs(value), sigma ?? 0);
+  let [factor, shown, digits] = [metres, isLength ? "m" : unit, size >= 100 ? 0 : 2];
+  if (isLength && size > 0 && size < 0.01) [factor, shown, digits] = [1000 * metres, "mm", 1];
+  else if (isLength && size > 0 && size < 1) [factor, shown, digits] = [100 * metres, "cm", size < 0.1 ? 1 : 0];
+  const number = v => (factor * v).toFixed(digits), short = text => text.includes(".") ? text.replace(/\.?0+$/, "") : text;
+  const words = sigma === null ? short(number(value)) : `${number(value)} ± ${number(sigma)}`;
+  return shown ? `${words} ${shown}` : words;
+}
+
 // The value of a layer's byte, in the layer's unit.
 const valueOf = (layer, byte) => layer.most ? layer.least * (layer.most / layer.least) ** (byte / 255) : layer.low + (layer.high - layer.low) * byte / 255;
+
+const greyOf = (rgb, i) => 0.3 * rgb[3 * i] + 0.6 * rgb[3 * i + 1] + 0.1 * rgb[3 * i + 2];
+const KINDS = {new: 0, unchanged: 1, vanished: 2};
+const kindOf = (changes, i) => Math.round(valueOf(changes.layers.kind, changes.layers.kind.of[i]));
+function tinted(rgb, i, [r, g, b]) { // a colour that keeps the light and shade of the point, so that its shape can be seen
+  const light = 0.55 + 0.45 * greyOf(rgb, i) / 255;
+  return (255 << 24 | b * light << 16 | g * light << 8 | r * light) >>> 0;
+}
+
+// Colours of the night's points: those whose nearest point in the changes is new are red, all others grey.
+function changedPixels(points, changes) {
+  const pixels = pixelsOf(points, "change"), reach = 3 * changes.voxel, low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  for (let i = 0; i < changes.n; i++) if (kindOf(changes, i) === KINDS.new) for (let k = 0; k < 3; k++) {
+    low[k] = Math.min(low[k], changes.at[3 * i + k] - reach); high[k] = Math.max(high[k], changes.at[3 * i + k] + reach);
+  }
+  if (low[0] === Infinity) return pixels;
+  // cells as large as the reach: what is near to a point is in its own cell or beside it
+  const extent = low.map((v, k) => high[k] - v), cell = Math.max(reach, Math.cbrt(extent[0] * extent[1] * extent[2] / 3e6));
+  const [wide, deep, tall] = extent.map(v => Math.floor(v / cell) + 1), first = new Int32Array(wide * deep * tall).fill(-1), next = new Int32Array(changes.n);
+  const cellOf = (at, i) => {
+    const x = Math.floor((at[3 * i] - low[0]) / cell), y = Math.floor((at[3 * i + 1] - low[1]) / cell), z = Math.floor((at[3 * i + 2] - low[2]) / cell);
+    return x < 0 || y < 0 || z < 0 || x >= wide || y >= deep || z >= tall ? -1 : (z * deep + y) * wide + x;
+  };
+  for (let i = 0; i < changes.n; i++) {
+    const k = kindOf(changes, i) === KINDS.vanished ? -1 : cellOf(changes.at, i);
+    if (k >= 0) { next[i] = first[k]; first[k] = i; }
+  }
+  for (let i = 0; i < points.n; i++) {
+    const k = cellOf(points.at, i);
+    if (k < 0) continue;
+    const x = k % wide, y = Math.floor(k / wide) % deep, z = Math.floor(k / (wide * deep));
+    let best = reach * reach, found = -1;
+    for (let c = Math.max(0, z - 1); c <= Math.min(tall - 1, z + 1); c++)
+      for (let b = Math.max(0, y - 1); b <= Math.min(deep - 1, y + 1); b++)
+        for (let a = Math.max(0, x - 1); a <= Math.min(wide - 1, x + 1); a++)
+          for (let j = first[(c * deep + b) * wide + a]; j >= 0; j = next[j]) {
+            const u = changes.at[3 * j] - points.at[3 * i], v = changes.at[3 * j + 1] - points.at[3 * i + 1], w = changes.at[3 * j + 2] - points.at[3 * i + 2], d = u * u + v * v + w * w;
+            if (d < best) { best = d; found = j; }
+          }
+    if (found >= 0 && kindOf(changes, found) === KINDS.new) pixels[i] = tinted(points.rgb, i, [255, 98, 48]);
+  }
+  return pixels;
+}
+
+// The vanished points among the changes, which are drawn where they were.
+function vanishedOf(changes) {
+  const kept = [];
+  for (let i = 0; i < changes.n; i++) if (kindOf(changes, i) === KINDS.vanished) kept.push(i);
+  const pick = (of, width) => of.constructor.from({length: width * kept.length}, (_, k) => of[width * kept[Math.floor(k / width)] + k % width]);
+  return {...changes, n: kept.length, at: pick(changes.at, 3), rgb: pick(changes.rgb, 3), layers: {}};
+}
 
 function pixelsOf(points, mode) {
   const {n, rgb} = points, pixels = new Uint32Array(n), layer = points.layers[mode], ramp = rampOf(mode);
@@ -60,7 +123,7 @@ function pixelsOf(points, mode) {
   for (let i = 0; i < n; i++) {
     if (layer) pixels[i] = colours[layer.of[i]];
     else if (mode === "change") { // grey, so that what has changed stands out
-      const grey = 40 + 0.55 * (0.3 * rgb[3 * i] + 0.6 * rgb[3 * i + 1] + 0.1 * rgb[3 * i + 2]);
+      const grey = 40 + 0.55 * greyOf(rgb, i);
       pixels[i] = (255 << 24 | grey << 16 | grey << 8 | grey) >>> 0;
     } else pixels[i] = (255 << 24 | rgb[3 * i + 2] << 16 | rgb[3 * i + 1] << 8 | rgb[3 * i]) >>> 0;
   }

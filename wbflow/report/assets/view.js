@@ -6,6 +6,8 @@ const plus = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = a => { const l = Math.hypot(...a) || 1; return a.map(x => x / l); };
 const FOV = 50 * Math.PI / 180, MOST_PIXELS = 1.4e6, FRAME_MS = 30;
+const VANISHED_GROWTH = 2; // vanished points are spaced unevenly: so large, their squares close the surface
+const TWICE_MS = 400, TWICE_PX = 8; // the second click of a double click comes so soon, and so near
 
 class CloudView {
   constructor(root, scene) {
@@ -26,7 +28,17 @@ class CloudView {
     while (look.distance < most && !cameras.every(cam => inside(this.project(cam.C, this.eye())))) look.distance *= 1.05; // cameras far away may be outside
     return this.pose();
   }
-  add(points, name) { this.sets.push({points, name, pixels: {}}); this.draw(); }
+  add(points, name) {
+    for (const set of this.sets) set.pixels = {}; // what has changed may colour the points that are there
+    if (name === "change") { this.changes = points; this.sets.push({points: vanishedOf(points), name, pixels: {}}); }
+    else this.sets.push({points, name, pixels: {}});
+    this.draw();
+  }
+  colours(set) {
+    if (this.mode !== "change") return pixelsOf(set.points, this.mode);
+    if (set.name === "change") return Uint32Array.from({length: set.points.n}, (_, i) => tinted(set.points.rgb, i, [70, 150, 255]));
+    return set.name === "product" && this.changes ? changedPixels(set.points, this.changes) : pixelsOf(set.points, this.mode);
+  }
   resize() {
     const box = this.root.getBoundingClientRect(), ratio = window.devicePixelRatio || 1;
     const scale = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(1, box.width * box.height)));
@@ -67,9 +79,9 @@ class CloudView {
       if (set.name === "change" && this.mode !== "change") continue;
       [frame.from, frame.to] = set.name === "then" ? [0, edge] : [edge, frame.width];
       if (frame.from >= frame.to) continue;
-      const pixels = set.pixels[this.mode] ||= set.name === "change" ? changeColours(set.points) : pixelsOf(set.points, this.mode);
+      const pixels = set.pixels[this.mode] ||= this.colours(set);
       const count = quick && set.name !== "change" ? Math.min(set.points.n, Math.round(this.budget)) : set.points.n;
-      splat(frame, set.points, pixels, count, camera, this.clip, Math.sqrt(set.points.n / Math.max(1, count)) * (set.name === "change" ? 1.3 : 1));
+      splat(frame, set.points, pixels, count, camera, this.clip, Math.sqrt(set.points.n / Math.max(1, count)) * (set.name === "change" ? VANISHED_GROWTH : 1));
       drawn += count;
     }
     if (!quick || this.budget > 250000) shade(frame, 12);
@@ -127,11 +139,11 @@ class CloudView {
     this.onOverlay?.(ink, camera);
     this.compass(ink, camera);
   }
-  word(text, x, y) {
+  word(text, x, y, always = false) {
     const ink = this.ink, half = ink.measureText(text).width / 2, [wide, high] = this.size;
-    if (x < 0 || x > wide || y < -14 || y > high + 14) return;
+    if (!always && (x < 0 || x > wide || y < -14 || y > high + 14)) return;
     x = Math.max(half + 4, Math.min(wide - half - 4, x)); y = Math.max(14, Math.min(high - 4, y)); // none is cut off at the edge
-    if (this.words.some(w => Math.abs(w.x - x) < w.half + half && Math.abs(w.y - y) < 13)) return;
+    if (!always && this.words.some(w => Math.abs(w.x - x) < w.half + half && Math.abs(w.y - y) < 13)) return;
     this.words.push({x, y, half}); ink.save(); ink.strokeStyle = "#000c"; ink.lineWidth = 3.5; ink.strokeText(text, x, y);
     ink.fillStyle = "#fff"; ink.fillText(text, x, y); ink.restore();
   }
@@ -167,7 +179,7 @@ class CloudView {
       if (document.activeElement !== canvas && !e.ctrlKey) { this.root.classList.add("hint"); setTimeout(() => this.root.classList.remove("hint"), 1500); return; }
       e.preventDefault(); this.flight = null; this.zoom(Math.exp(0.0012 * Math.max(-300, Math.min(300, e.deltaY))));
     }, {passive: false});
-    canvas.addEventListener("dblclick", e => { const p = this.under(e); if (p) this.fly({...this.pose(), target: p, distance: this.distance * 0.6}); });
+    canvas.addEventListener("dblclick", e => { const p = this.picks ? null : this.under(e); if (p) this.fly({...this.pose(), target: p, distance: this.distance * 0.6}); });
     canvas.addEventListener("keydown", e => {
       if (this.picks && this.keys?.(e.key)) { e.preventDefault(); return; }
       const does = {ArrowLeft: () => this.turn(-0.1, 0), ArrowRight: () => this.turn(0.1, 0), ArrowUp: () => this.turn(0, 0.08), ArrowDown: () => this.turn(0, -0.08),
@@ -200,7 +212,12 @@ class CloudView {
     return plus(plus(plus(camera.eye, camera.ahead, depth), camera.right, (x - this.size[0] / 2) * q), camera.up, (this.size[1] / 2 - y) * q);
   }
   click(e) {
-    if (this.picks) { this.picks(this.under(e)); return; }
+    if (this.picks) {
+      const last = this.picked, again = last && e.timeStamp - last.timeStamp < TWICE_MS && Math.hypot(e.clientX - last.clientX, e.clientY - last.clientY) < TWICE_PX;
+      this.picked = e;
+      if (!again) this.picks(this.under(e)); // a double click is one point
+      return;
+    }
     const found = this.nearest(e);
     if (found?.cam) this.flyTo(found.cam);
     else if (found?.mark) this.flyToMark(found.mark);
@@ -228,13 +245,4 @@ class CloudView {
     };
     step();
   }
-}
-
-function changeColours(points) {
-  const gone = points.layers.kind, pixels = new Uint32Array(points.n), one = gone.high > gone.low ? 0 : (gone.low > 0.5 ? 1 : -1);
-  for (let i = 0; i < points.n; i++) {
-    const vanished = one ? one > 0 : gone.of[i] > 127;
-    pixels[i] = (vanished ? 0xfff08c3c : 0xff2d5af0) >>> 0; // blue: vanished; red: new
-  }
-  return pixels;
 }
