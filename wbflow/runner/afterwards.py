@@ -45,9 +45,14 @@ def index(run: Run, site: Site, journal: Journal) -> None:
     """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
-            new_tasks = (task for task, event in run.task_events.items() if event.outcome in {"ran", "rejected"})
-            ledger.record_artifacts(receipt for task in new_tasks if (receipt := run.receipt(task)))
+            receipts = []
+            for task, event in run.task_events.items():
+                receipt = run.receipt(task) if event.outcome in {"ran", "rejected"} else None
+                if receipt:
+                    receipts.append(receipt)
+            ledger.record_artifacts(receipts)
             ledger.record_run(run.record)
+        # after the ledger, before the cleanup: what is pinned is kept
         if site.settings.pin == "auto" and not run.cache.work.reference_record.exists() and fit_to_pin(run.record):
             pin(run.cache, run.run_folder, automatic=True)
         keep = site.settings.keep.limits()

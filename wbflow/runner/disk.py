@@ -25,7 +25,9 @@ def bytes_of_sizes(sizes: Iterable[tuple[int, int]], resolution: int | None) -> 
     """
     total = 0
     for width, height in sizes:
-        scale = min(1.0, resolution / max(width, height)) if resolution else 1.0
+        scale = 1.0
+        if resolution:
+            scale = min(1.0, resolution / max(width, height))  # captures are never enlarged
         total += BYTES_PER_CAMERA + round(BYTES_PER_PIXEL * scale * width * scale * height)
     return total
 

@@ -60,7 +60,8 @@ class _Submitted:
         if not begun:
             return False, printable(text.strip())
         last = begun[-1]
-        previous, self.at_work = self.at_work, min(int(last[1]), len(self.specs) - 1)
+        previous = self.at_work
+        self.at_work = self._position(last[1])
         return self.at_work != previous, printable(text[last.end() :].strip(), LONGEST_TRACE)
 
     def output(self) -> Iterator[tuple[Task, str]]:
@@ -73,7 +74,11 @@ class _Submitted:
         _, *parts = _BEGUN.split(text)
         for number, printed in zip(parts[::2], parts[1::2], strict=True):
             if printed.strip():
-                yield self.tasks[min(int(number), len(self.specs) - 1)], printable(printed.strip(), LONGEST_TRACE)
+                yield self.tasks[self._position(number)], printable(printed.strip(), LONGEST_TRACE)
+
+    def _position(self, number: str) -> int:
+        """The position in the chain that a progress file states; its content is not trusted, since libraries write there too."""
+        return min(int(number), len(self.specs) - 1)
 
 
 class Dispatcher:
@@ -111,18 +116,23 @@ class Dispatcher:
         self._begin()
         finished, _ = wait(self._running, timeout=PROGRESS_SECONDS, return_when=FIRST_COMPLETED)
         for chain in self._running.values():
-            if chain.read_progress()[0]:
+            has_begun, _ = chain.read_progress()
+            if has_begun:
                 self._journal.listen(StartedEvent(chain.tasks[chain.at_work]))
+        # none of them counts as running when their losses are judged
         ended = [(self._running.pop(future), future) for future in finished]
         return [(chain.specs, list(self._outcomes(chain, future))) for chain, future in ended]
 
     def stop(self) -> None:
         """End all running chains, and remove their half-written files."""
+        # the workers first: they write until they have ended
         if self._executor:
             self._executor.shutdown(wait=True, cancel_futures=True)
         self._executor = None
-        self._cache.work.remove_half_written(task for chain in self._running.values() for task in chain.tasks)
-        self._running, self._queue = {}, []
+        for chain in self._running.values():
+            self._cache.work.remove_half_written(chain.tasks)
+        self._running = {}
+        self._queue = []
         with suppress(OSError):
             shutil.rmtree(self._cache.work.progress)
 
@@ -136,8 +146,9 @@ class Dispatcher:
         while self._executor and self._queue and self._can_begin(self._queue[0]):
             specs = self._queue.pop(0)
             chain = _Submitted(specs, self._cache.work.progress / str(next(self._numbers)))
-            own_process = isinstance(self._executor, Processes)
-            seconds = {spec.task.stage: self.limits.seconds_for(spec.task.stage) for spec in specs} if own_process else None
+            seconds = None
+            if isinstance(self._executor, Processes):  # only a process of its own can be ended after its time
+                seconds = {spec.task.stage: self.limits.seconds_for(spec.task.stage) for spec in specs}
             future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds)
             self._running[future] = chain
 
@@ -146,9 +157,14 @@ class Dispatcher:
         running = [chain.tasks for chain in self._running.values()]
         if not running:
             return True
-        if self._losses[specs[0].task] or any(self._losses[task] for tasks in running for task in tasks):
-            return False
-        slots = self._executor.capacity if isinstance(self._executor, Cluster) else self._options.jobs
+        # a task that has lost a worker runs alone: it may be what took the memory of all others
+        for tasks in (specs[0].task,), *running:
+            for task in tasks:
+                if self._losses[task]:
+                    return False
+        slots = self._options.jobs
+        if isinstance(self._executor, Cluster):
+            slots = self._executor.capacity
         return len(running) < slots and self.limits.fits(running, [spec.task for spec in specs])
 
     def _outcomes(self, chain: _Submitted, future: Future[list[FinishedTask]]) -> Iterator[FinishedTask]:
@@ -156,12 +172,7 @@ class Dispatcher:
         error = future.exception()
         if error is None:
             for done in future.result():
-                for warning in done.warnings:
-                    self._journal.warn(warning, task=done.task)
-                for damage in done.damages:
-                    self._journal.note_repair(f"{damage.what}: made again", task=damage.task)
-                if done.state.receipt:
-                    self.limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
+                self._note(done)
                 yield done
         elif isinstance(error, WorkerLost):
             yield from self._outcomes_of_loss(chain, error)
@@ -177,22 +188,35 @@ class Dispatcher:
             self._journal.add_output(task, printed)
         chain.progress.unlink(missing_ok=True)
 
+    def _note(self, done: FinishedTask) -> None:
+        """Pass on what a worker has found besides the result: warnings, damage, and how much memory the task took."""
+        for warning in done.warnings:
+            self._journal.warn(warning, task=done.task)
+        for damage in done.damages:
+            self._journal.note_repair(f"{damage.what}: made again", task=damage.task)
+        if done.state.receipt:
+            self.limits.learn(done.task.stage, done.state.receipt.peak_rss_mb)
+
     def _outcomes_of_loss(self, chain: _Submitted, error: WorkerLost) -> Iterator[FinishedTask]:
+        """How the task ended that was running when its worker was lost; nothing, if it is tried again."""
         self._cache.work.remove_half_written(chain.tasks)
         _, trace = chain.read_progress()
         task = chain.tasks[max(0, chain.at_work)]
-        if "Timeout (" in trace:
+        if "Timeout (" in trace:  # written by faulthandler, which ended the process
             median = self.limits.costs.stages.get(task.stage)
-            usual = f" ({task.stage} takes {_time(median)} as a rule)" if median is not None else ""
-            why = f"took longer than {_time(self.limits.seconds_for(task.stage))}{usual} and was ended; --time-limit gives more"
+            as_a_rule = "" if median is None else f" ({task.stage} takes {_time(median)} as a rule)"
+            limit = _time(self.limits.seconds_for(task.stage))
+            why = f"took longer than {limit}{as_a_rule} and was ended; --time-limit gives more"
             yield FinishedTask(task, State("failed", why, Cause.TOO_SLOW, trace=trace, fresh=True))
             return
         self._losses[task] += 1
         if self._losses[task] == 1:
             self._journal.warn(f"it {error}: it is tried again, alone", task=task, trace=trace or None)
             return
-        out_of_memory = error.cause is Cause.OUT_OF_MEMORY
-        remedy = "lower `resolution`, or allow more with --memory" if out_of_memory else "check the function of the stage"
+        if error.cause is Cause.OUT_OF_MEMORY:
+            remedy = "lower `resolution`, or allow more with --memory"
+        else:
+            remedy = "check the function of the stage"
         yield FinishedTask(task, State("failed", f"{error}, twice; {remedy}", error.cause, trace=trace or None, fresh=True))
 
 
@@ -207,4 +231,6 @@ def _make_executor(options: Options, memory: int) -> Executor:
 def _time(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.3g} s"
-    return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.3g} hours"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} minutes"
+    return f"{seconds / 3600:.3g} hours"

@@ -80,12 +80,15 @@ class Processes(Executor):
         self._watcher.join()
         for worker in list(self._workers):
             worker.end()
-        self._workers, self._idle = [], []
+        self._workers = []
+        self._idle = []
 
     def _start(self) -> _Worker:
+        """Start a worker process; it may not have started yet when this returns."""
         from joblib.externals.loky.backend import get_context
         from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
+        # the user may set another limit for pixels, but not for threads: the workers share the cores
         preset = {name: value for name, value in PIXEL_LIMIT.items() if name not in os.environ}
         environment = preset | dict.fromkeys(THREADS, "1") | {ALL_CORES: str(self._jobs)}
         # the terminal sends Ctrl-C to all processes, but not to those that start while it is blocked: the run ends workers itself
@@ -104,7 +107,8 @@ class Processes(Executor):
 
     def _begin(self, worker: _Worker, future: Future[Any], call: Callable[[], Any]) -> None:
         """Submit a call to a worker that has started: loky would wait forever if the worker died before it reads a long call."""
-        if failure := worker.started.exception():
+        failure = worker.started.exception()
+        if failure:
             future.set_exception(_start_error(_describe_end(failure)))
             return
         worker.peak_bytes = 0
@@ -114,29 +118,34 @@ class Processes(Executor):
             self._report_loss(worker, future, error)
 
     def _finish(self, worker: _Worker, future: Future[Any], loky_future: Future[Any]) -> None:
+        """Pass the result of a call on, and keep its worker for the next one."""
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
         error = loky_future.exception()
         if isinstance(error, BrokenProcessPool):
             self._report_loss(worker, future, error)
             return
-        self._idle.append(worker)
+        self._idle.append(worker)  # before the result: the caller submits the next call at once
         if error:
             future.set_exception(error)
         else:
             future.set_result(loky_future.result())
 
     def _report_loss(self, worker: _Worker, future: Future[Any], error: BaseException) -> None:
+        """Tell the caller that the worker of its call has ended, and why."""
         worker.end_group()
         with suppress(ValueError):
             self._workers.remove(worker)
-        text, cause, memory = _describe_end(error), Cause.WORKER_LOST, format_size(worker.peak_bytes)
+        how_it_ended = _describe_end(error)
+        memory = format_size(worker.peak_bytes)
         if worker.exceeded_limit:
             total = f"all workers together held more than the limit of {format_size(self._memory)}"
-            text, cause = f"ran out of memory: it held {memory}, and {total}", Cause.OUT_OF_MEMORY
-        elif "SIGKILL" in text and worker.peak_bytes > self._memory / 2:  # probably by the kernel's OOM killer
-            text, cause = f"{text} (out of memory? it held {memory})", Cause.OUT_OF_MEMORY
-        future.set_exception(WorkerLost(text, cause))
+            loss = WorkerLost(f"ran out of memory: it held {memory}, and {total}", Cause.OUT_OF_MEMORY)
+        elif "SIGKILL" in how_it_ended and worker.peak_bytes > self._memory / 2:  # probably by the kernel's OOM killer
+            loss = WorkerLost(f"{how_it_ended} (out of memory? it held {memory})", Cause.OUT_OF_MEMORY)
+        else:
+            loss = WorkerLost(how_it_ended, Cause.WORKER_LOST)
+        future.set_exception(loss)
 
     def _watch(self) -> None:
         """Run in a thread: measure the memory of all workers, and while it exceeds the limit, end idle ones, then the largest."""
@@ -178,7 +187,8 @@ class _Worker:
             info = psutil.Process(self.started.result()).memory_info()
         except psutil.Error:
             return 0
-        self.peak_bytes = max(self.peak_bytes, memory := int(info.rss - getattr(info, "shared", 0)))
+        memory = int(info.rss - getattr(info, "shared", 0))
+        self.peak_bytes = max(self.peak_bytes, memory)
         return memory
 
     def end(self) -> None:
@@ -228,7 +238,9 @@ def _describe_end(error: BaseException) -> str:
     name, code = match.groups()
     if int(code) >= 0:
         return f"ended its worker process with exit code {code}"
-    return f"lost its worker process, which was killed by {name if name != 'UNKNOWN' else f'signal {code[1:]}'}"
+    if name == "UNKNOWN":
+        name = f"signal {code.removeprefix('-')}"
+    return f"lost its worker process, which was killed by {name}"
 
 
 class CodeMismatch(Exception):
@@ -272,11 +284,13 @@ class Cluster(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function, whose first argument is a chain, in a worker not yet refused.  The future may raise `CodeMismatch`."""
-        workers = [address for address in self._client.nthreads() if address not in self._refused]
-        if self._refused and not workers:
-            details = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
-            raise WbflowError(f"no worker of the cluster runs the same code: {details} differ", remedy="install the same on all")
-        allowed = workers if self._refused else None
+        allowed = None  # any, also workers that join later
+        if self._refused:
+            allowed = [address for address in self._client.nthreads() if address not in self._refused]
+            if not allowed:
+                details = "; ".join(f"the {names} of {address}" for address, names in sorted(self._refused.items()))
+                what = f"no worker of the cluster runs the same code: {details} differ"
+                raise WbflowError(what, remedy="install the same on all")
         call = functools.partial(_in_cluster, self._roots, __version__, function, *args, **kwargs)
         future: Future[Any] = self._executor.submit(call, workers=allowed)
         return future
@@ -291,17 +305,23 @@ def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[...
     """Run in a worker of the cluster: check its code, and call a function with paths translated to this machine."""
     os.environ |= PIXEL_LIMIT | dict.fromkeys(THREADS, "1")  # OpenCV and Numba read them when the first task imports them
     chain, *other_args = translate_paths(args, roots)
-    mismatched = [spec.function for spec in chain if not _same_code(spec)] + (["wbflow"] if version != __version__ else [])
+    mismatched = [spec.function for spec in chain if not _same_code(spec)]
+    if version != __version__:
+        mismatched.append("wbflow")
     if mismatched:
         raise CodeMismatch(importlib.import_module("distributed").get_worker().address, ", ".join(dict.fromkeys(mismatched)))
-    return translate_paths(function(chain, *other_args, **kwargs), {remote: local for local, remote in roots.items()})
+    finished = function(chain, *other_args, **kwargs)
+    return translate_paths(finished, {remote: local for local, remote in roots.items()})
 
 
 def _same_code(spec: TaskSpec) -> bool:
     """Is the code of a task on this machine the code that is part of its cache key?"""
-    stage, reader = stage_named(spec.task.stage), _reader(spec.folder)
+    stage = stage_named(spec.task.stage)
+    reader = _reader(spec.folder)
+    uses: list[str | None] = [spec.function]
+    if spec.function == stage.function:
+        uses.append(None)  # the site may have left the function to the stage: then methods are bound with it
     try:
-        uses = [spec.function, None] if spec.function == stage.function else [spec.function]
         return any(bind(stage, use, spec.parameters, reader).code == spec.code for use in uses)
     except FunctionError:
         return False
@@ -316,9 +336,15 @@ def _reader(folder: Path | None) -> FunctionReader:
 def translate_paths(value: Any, roots: Mapping[Path, Path]) -> Any:
     """Return a value with all paths in it, also in containers and dataclasses, translated by `roots` (folder -> folder)."""
     if isinstance(value, Path):
-        return next((remote / value.relative_to(local) for local, remote in roots.items() if value.is_relative_to(local)), value)
+        for local, remote in roots.items():
+            if value.is_relative_to(local):
+                return remote / value.relative_to(local)
+        return value
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        changed = {f.name: translate_paths(getattr(value, f.name), roots) for f in dataclasses.fields(value) if f.init}
+        changed = {}
+        for field in dataclasses.fields(value):
+            if field.init:  # others follow from these
+                changed[field.name] = translate_paths(getattr(value, field.name), roots)
         return dataclasses.replace(value, **changed)
     if isinstance(value, dict):
         return {key: translate_paths(item, roots) for key, item in value.items()}

@@ -39,10 +39,13 @@ class Inputs:
             except Impossible as error:
                 if not need.unless:
                     raise
-                inputs[name], faults[name] = None, error
+                inputs[name] = None
+                faults[name] = error
+        # an input may be missing only if all those that make up for it are there
         for name, fault in faults.items():
-            if any(inputs.get(other) is None for other in needs[name].unless):
-                raise fault
+            for other in needs[name].unless:
+                if inputs.get(other) is None:
+                    raise fault
         return inputs
 
     def input_of(self, task: Task, need: Source, earlier: Set[Task]) -> Input:
@@ -67,8 +70,10 @@ class Inputs:
             if need.kind != "stage" or not self._is_made(need):
                 continue
             origin = stage_named(need.name)
-            is_mapping = need.joins and origin.scope != "site"
-            tasks = self.subjects.joined(origin, need, task) if is_mapping else [stored_input(need, task).task]
+            if need.joins and origin.scope != "site":
+                tasks = self.subjects.joined(origin, need, task)
+            else:
+                tasks = [stored_input(need, task).task]
             upstreams |= dict.fromkeys(tasks)
         return list(upstreams)
 
@@ -78,13 +83,16 @@ class Inputs:
         return is_needed and (self.night.takes_part(need.name) or not need.may_lack(self.night.site))
 
     def _stored(self, wanted: Stored, need: Source) -> Input:
+        """The result of one task; exceptions as for `inputs_of`."""
         state = self.subjects.states.get(wanted.task)
         if state is None and not self.subjects.is_unmatched(wanted.task):
             raise Waiting(wanted.task)
-        if state and (stored := wanted.resolved(state.receipt)):
+        stored = wanted.resolved(state.receipt) if state else None
+        if stored:
             return stored
         if need.may_lack(self.night.site):
             return None
+        # the reason why there is nothing
         if state is None:
             raise Impossible(f"{'--'.join(wanted.task.subject)} was not matched", Cause.NO_PAIRS)
         if state.usable:
@@ -108,12 +116,16 @@ class Inputs:
         faults: list[Impossible] = []
         for upstream in joined:
             # health examines every camera, also one that shows nothing of the site
-            if task.stage != HEALTH and (unfit := self.unfit(upstream.subject)):
+            unfit = None if task.stage == HEALTH else self.unfit(upstream.subject)
+            if unfit:
                 faults.append(unfit)
-            elif stored := Stored(upstream, need.part).resolved(states[upstream].receipt):
+                continue
+            stored = Stored(upstream, need.part).resolved(states[upstream].receipt)
+            if stored:
                 items[upstream.subject] = stored
             else:
                 faults.append(blocked_by(upstream, states[upstream]))
+        # the quorum: what is there is joined, as long as it is something
         if not items and not need.may_lack(self.night.site):
             raise self._why_empty(origin, faults)
         return Joined(items)
@@ -125,18 +137,25 @@ class Inputs:
             raise Waiting(upstream)
         items: dict[Subject, Stored] = {}
         for camera in cameras:
-            if entry := Stored(upstream, part, camera).resolved(state.receipt):
+            entry = Stored(upstream, part, camera).resolved(state.receipt)
+            if entry:
                 items[camera,] = entry
         if not items:
             raise blocked_by(upstream, state)
         return Joined(items)
 
     def _why_empty(self, origin: Stage, faults: list[Impossible]) -> Impossible:
-        """Why a mapping input has no entries."""
+        """Why a mapping input has no entries: the captures, if fewer than two cameras have any; else what its tasks lack."""
         first_fault = f": {faults[0]}" if faults else ""
-        frames = [(view.camera, self.subjects.states.get(Task(FRAMES, (view.id,)))) for view in self.night.site.views]
-        usable = list(dict.fromkeys(camera for camera, state in frames if state and state.usable))
-        if not usable and all(state and state.code == Cause.NO_CAPTURE for _, state in frames):
+        usable: list[str] = []
+        nothing_captured = True
+        for view in self.night.site.views:
+            frame = self.subjects.states.get(Task(FRAMES, (view.id,)))
+            if frame and frame.usable and view.camera not in usable:
+                usable.append(view.camera)
+            if frame is None or frame.code != Cause.NO_CAPTURE:
+                nothing_captured = False
+        if nothing_captured:
             reason = f"no camera has a usable capture of this night: {nothing_matches(self.night.site, self.night.date)}"
             return Impossible(reason, Cause.TOO_FEW_CAMERAS)
         if not usable:
@@ -154,6 +173,7 @@ class Inputs:
         return Impossible("no two cameras see enough in common to be matched", Cause.NO_PAIRS)
 
     def _from_site(self, need: Source, task: Task) -> Input:
+        """What the site file states, or files that it names; raises Impossible for files that cannot be read."""
         if need.name == "captures":
             return Files(self._readable_captures(camera_of(task.subject[0])))
         if need.name == "mask":
@@ -168,6 +188,7 @@ class Inputs:
         return Files((file,), single=True) if file else None
 
     def _readable_captures(self, camera: str) -> tuple[CaptureFile, ...]:
+        """A camera's captures without the unreadable ones; raises Impossible if none is left."""
         files = self.night.files.captures[camera]
         if not files:
             raise Impossible(f"no capture: {self.night.missing.get(camera, 'there is no file for it')}", Cause.NO_CAPTURE)

@@ -37,8 +37,12 @@ class Journal:
         """Add an event for each task that has ended, and count what it cost."""
         for task, state in ended:
             receipt = state.receipt
-            key = receipt.key if receipt else None
-            cpu = round(receipt.cpu, 3) if receipt and state.outcome == "ran" else None
+            key = None
+            cpu = None
+            if receipt:
+                key = receipt.key
+                if state.outcome == "ran":
+                    cpu = round(receipt.cpu, 3)
             self._add(
                 TaskEvent(task, state.outcome, now(), state.fresh, state.reason, state.code, key=key, cpu=cpu, trace=state.trace)
             )
@@ -46,6 +50,7 @@ class Journal:
                 self._count(task.stage, receipt)
 
     def _count(self, stage: str, receipt: Receipt) -> None:
+        """Add what a task has cost."""
         previous = self._stages.get(stage, StageSeconds(0.0, 0.0, 0))
         wall = previous.wall + receipt.wall
         cpu = previous.cpu + receipt.cpu

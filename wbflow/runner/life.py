@@ -77,9 +77,11 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
             finished = publish(run, plan, products, journal, draw_report, own_process=options.backend == "threading")
             mark_published(work)
             follow_up(finished, site, journal, send=products is not None and not options.until)
-            if mirror and (fault := mirror.finish()):
-                journal.warn(fault)
-                finished.run_folder.add(journal.events[-1])
+            if mirror:
+                fault = mirror.finish()
+                if fault:
+                    journal.warn(fault)
+                    finished.run_folder.add(journal.events[-1])  # the log is written already
             return finished
     except OSError as error:
         raise disk_fault(error, work.root) from error

@@ -13,10 +13,16 @@ from ..records.costs import TaskCosts
 from ..task import Task
 from ..words import format_size
 
-LEAST_SECONDS, MOST_WAIT_SECONDS, TIMES_MEDIAN = 600.0, 6 * 3600.0, 20.0
-"""Time limit of a task: TIMES_MEDIAN times its stage's median, within two bounds (seconds); the upper one without a median."""
-DISK_RESERVE, DISK_MARGIN = 16_000_000, 1.2
-"""Bytes of disk space kept free so that the run can be published; factor by which tasks may need more space than earlier ones."""
+TIMES_MEDIAN = 20.0
+"""Time limit of a task, in medians of its stage's earlier tasks: one that takes longer hangs."""
+LEAST_SECONDS = 600.0
+"""Smallest time limit: a machine can be busy with other things for minutes."""
+MOST_WAIT_SECONDS = 6 * 3600.0
+"""Largest time limit, and that of a stage without earlier tasks: a task that hangs must not cost the whole night."""
+DISK_RESERVE = 16_000_000
+"""Bytes of disk space that are kept free, so that the run can be published."""
+DISK_MARGIN = 1.2
+"""Factor by which tasks may need more disk space than earlier ones of their stage."""
 MEMORY_SHARE = 0.8
 """Share of the memory of this machine, or of the run's control group, that all workers together may hold."""
 
@@ -38,7 +44,9 @@ class Limits:
         if self.seconds is not None:
             return self.seconds
         median = self.costs.stages.get(stage)
-        return MOST_WAIT_SECONDS if median is None else min(max(LEAST_SECONDS, TIMES_MEDIAN * median), MOST_WAIT_SECONDS)
+        if median is None:
+            return MOST_WAIT_SECONDS
+        return min(max(LEAST_SECONDS, TIMES_MEDIAN * median), MOST_WAIT_SECONDS)
 
     def learn(self, stage: str, mb: float) -> None:
         """Record the peak memory of a task in this run, MB."""
@@ -50,26 +58,39 @@ class Limits:
 
     def disk_shortage(self, root: Path, tasks: Iterable[Task]) -> str:
         """Return a message if the disk of a work folder has too little space for some tasks; "" if it has enough."""
-        needed = round(DISK_MARGIN * sum(self.costs.stages_bytes.get(task.stage, 0.0) for task in tasks)) + DISK_RESERVE
-        if (free := free_bytes(root)) >= needed:
+        expected = sum(self.costs.stages_bytes.get(task.stage, 0.0) for task in tasks)
+        needed = round(DISK_MARGIN * expected) + DISK_RESERVE
+        free = free_bytes(root)
+        if free >= needed:
             return ""
         return f"the disk is nearly full: about {format_size(needed)} needed to go on, {format_size(free)} free in {root}"
 
     def _peak_mb(self, chain: Iterable[Task]) -> float:
-        peaks = (self.costs.expected_peak_mb(task.stage, str(task), self.measured_mb.get(task.stage, 0.0)) for task in chain)
-        return max(peaks, default=0.0)
+        """Expected peak memory of a chain, MB: that of its largest task, since they run one after the other."""
+        peak = 0.0
+        for task in chain:
+            measured = self.measured_mb.get(task.stage, 0.0)
+            peak = max(peak, self.costs.expected_peak_mb(task.stage, str(task), measured))
+        return peak
 
 
 def machine_memory() -> int:
     """Return the default limit of the memory of all workers together, bytes."""
     limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
-    groups = Path("/sys/fs/cgroup")
-    files = [groups / "memory" / "memory.limit_in_bytes"]
-    with suppress(OSError, StopIteration):
-        own_line = next(line for line in Path("/proc/self/cgroup").read_text().splitlines() if line.startswith("0::"))
-        group = groups / own_line.removeprefix("0::").lstrip("/")
-        files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(groups)]
-    for file in files:
+    for file in _control_files():
         with suppress(OSError, ValueError):  # "max": there is no limit
             limits.append(int(file.read_text()))
     return int(MEMORY_SHARE * min(limits))
+
+
+def _control_files() -> list[Path]:
+    """Files that may state a memory limit for this process's control group, or for one that contains it (cgroups(7))."""
+    groups = Path("/sys/fs/cgroup")
+    files = [groups / "memory" / "memory.limit_in_bytes"]  # version 1
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            if line.startswith("0::"):  # version 2
+                group = groups / line.removeprefix("0::").lstrip("/")
+                files += [folder / "memory.max" for folder in (group, *group.parents) if folder.is_relative_to(groups)]
+                break
+    return files

@@ -16,6 +16,7 @@ from .dispatch import Dispatcher
 from .journal import Journal
 from .options import Options
 from .plan import Plan
+from .spec import TaskSpec
 from .state import Cause, State
 
 MOST_ATTEMPTS = 3
@@ -66,22 +67,32 @@ class _Loop:
                 self._stop(self.stop_at)
             self.note_ended()
             self.journal.listen(PlannedEvent(plan.counts()))
-            chains = [chain[:1] if self.stopped else chain for chain in plan.chains()]
-            if chains:
-                tasks = [spec.task for chain in chains for spec in chain]
-                if shortage := self.dispatcher.limits.disk_shortage(plan.night.cache.work.root, tasks):
-                    for first, *_ in chains:
-                        plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
-                    continue
-                plan.begin(chains)
-                self.dispatcher.submit(chains)
+            chains = plan.chains()
+            if self.stopped:
+                chains = [chain[:1] for chain in chains]  # what would follow is given up
+            if chains and not self._submit(chains):
+                continue
             if plan.running:
                 self._collect()
                 continue
+            # nothing is ready and nothing runs: what is left to do is to read the products
             try:
                 return self._products()
             except DamagedArtifact as damage:
                 self._make_again(damage.task, damage.what)
+
+    def _submit(self, chains: list[list[TaskSpec]]) -> bool:
+        """Submit chains; returns False if the disk has too little space for them: then their first tasks have failed instead."""
+        plan = self.plan
+        tasks = [spec.task for chain in chains for spec in chain]
+        shortage = self.dispatcher.limits.disk_shortage(plan.night.cache.work.root, tasks)
+        if shortage:
+            for first, *_ in chains:
+                plan.commit(first.task, State("failed", f"{shortage}; {DISK_FULL_REMEDY}", Cause.DISK_FULL))
+            return False
+        plan.begin(chains)
+        self.dispatcher.submit(chains)
+        return True
 
     def note_ended(self) -> None:
         """Tell the journal which tasks have ended, and what was found damaged in the cache, since the last call."""
@@ -107,7 +118,11 @@ class _Loop:
             self.dispatcher.stop()
             plan.release(list(plan.running))
             plan.refresh()
-        while given_up := [t for t in plan.ready if stage_named(t.stage).scope != "site" and t.stage != DEPTH]:
+        # giving up one task can make others ready
+        while True:
+            given_up = [task for task in plan.ready if stage_named(task.stage).scope != "site" and task.stage != DEPTH]
+            if not given_up:
+                return
             for task in given_up:
                 plan.commit(task, State("skipped", f"the run was to stop at {stop_time:%H:%M}", Cause.STOPPED))
             plan.refresh()

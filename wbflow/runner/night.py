@@ -45,7 +45,9 @@ class NightFiles:
         self.replaced.add(path)
         self.digests.forget(path)
         for files in self.captures.values():
-            files[:] = [with_current_digest(file, self.digests) if file.path == path else file for file in files]
+            for k, file in enumerate(files):
+                if file.path == path:
+                    files[k] = with_current_digest(file, self.digests)
         for name, file in self.named.items():
             if file.path == path:
                 self.named[name] = with_current_digest(file, self.digests)
@@ -59,9 +61,14 @@ class NightFiles:
         changed = changes_of(self.captures, self.replaced, self.digests)
         if dated:
             return changed, {}
-        unfinished = {file.name for files in self.captures.values() for file in files if file.path in self.growing}
-        harmful = {camera: [name for name in names if name in unfinished] for camera, names in changed.items()}
-        harmless = {camera: [name for name in names if name not in unfinished] for camera, names in changed.items()}
+        unfinished = set()
+        for files in self.captures.values():
+            unfinished |= {file.name for file in files if file.path in self.growing}
+        harmful: dict[str, list[str]] = {}
+        harmless: dict[str, list[str]] = {}
+        for camera, names in changed.items():
+            harmful[camera] = [name for name in names if name in unfinished]
+            harmless[camera] = [name for name in names if name not in unfinished]
         return harmful, harmless
 
 

@@ -46,8 +46,9 @@ class _Reported(JsonDataclass):
     state: tuple[str, ...] = ()
     """The level, and kind and subject of each finding; empty for a good night without acknowledged findings."""
     since: str = ""
+    """When the first run in this state ended (UTC); "": no run has."""
     bad_since: str = ""
-    """When the first run in this state ended, and the first degraded or failed run since the last good night (UTC); "": none."""
+    """When the first degraded or failed run since the last good night ended (UTC); "": there is none."""
     reminders: int = 0
     """Number of reminders of this state that have been sent."""
 
@@ -56,46 +57,27 @@ _ACKNOWLEDGED = "acknowledged"
 """Takes the place of a good night's level if it has acknowledged findings: the site is neither degraded nor recovered."""
 
 
-def _state_of(verdict: Verdict) -> tuple[str, ...]:
-    level, findings = (_ACKNOWLEDGED, verdict.acknowledged) if verdict.good else (verdict.level, verdict.findings)
-    return (level, *sorted({" ".join((f.kind, *f.subject)) for f in findings})) if findings else ()
-
-
 def notify(config: Notify, folder: Path, run: Run) -> Occasion | None:
     """Call the command for a published run; returns the occasion, or None if there is none.
 
     folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the command's output.
     """
-    work, record = run.cache.work, run.record
+    work = run.cache.work
+    record = run.record
     assert record.verdict
-    last, now = _last_reported(work), record.finished
+    last = _last_reported(work)
+    now = record.finished
     state = _next_reported(last, _state_of(record.verdict), now, config)
-    occasion: Occasion | None = "heartbeat" if config.heartbeat else None
-    if state.state != last.state and not record.verdict.good:
-        occasion = "failed" if record.verdict.level == "failed" else "degraded"
-    elif last.state and not state.state and (last.state[0] != _ACKNOWLEDGED or last.bad_since):
-        occasion = "recovered"
-    elif state.reminders > last.reminders:
-        occasion = "reminder"
+    occasion = _occasion(last, state, record.verdict, config)
     if occasion:
-        duration = format_duration(_seconds(state.bad_since, now)) if occasion in {"recovered", "reminder"} else ""
+        duration = ""
+        if occasion in {"recovered", "reminder"}:
+            duration = format_duration(_seconds(state.bad_since, now))
         _call(config, folder, _message(occasion, duration, run.run_folder.paths, record))
+    # only after the call: if it fails, the next run calls again
     if state != last:
         write_checksummed(work.notified, _FILE_KIND, state.to_json())
     return occasion
-
-
-def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: Notify) -> _Reported:
-    """Return the state to remember after a night, from the last reported one."""
-    is_acknowledged = state[:1] == (_ACKNOWLEDGED,)
-    bad_since = (last.bad_since if last.state else "") or ("" if is_acknowledged else now)
-    if state != last.state:
-        return _Reported(state, now, bad_since)
-    if not state or is_acknowledged:
-        return last
-    since = last.since or now
-    due = sum(_seconds(since, now) >= seconds for seconds in config.remind)
-    return _Reported(state, since, bad_since, max(due, last.reminders))
 
 
 def _last_reported(work: WorkFolder) -> _Reported:
@@ -105,6 +87,49 @@ def _last_reported(work: WorkFolder) -> _Reported:
         return _Reported()
 
 
+def _state_of(verdict: Verdict) -> tuple[str, ...]:
+    """The state of a site that a verdict describes, as `_Reported.state`."""
+    level: str = verdict.level
+    findings = verdict.findings
+    if verdict.good:
+        level = _ACKNOWLEDGED
+        findings = verdict.acknowledged
+    if not findings:
+        return ()
+    subjects = {" ".join((finding.kind, *finding.subject)) for finding in findings}
+    return (level, *sorted(subjects))
+
+
+def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: Notify) -> _Reported:
+    """Return the state to remember after a night, from the last reported one."""
+    is_acknowledged = state[:1] == (_ACKNOWLEDGED,)
+    bad_since = last.bad_since if last.state else ""
+    if not bad_since and not is_acknowledged:
+        bad_since = now
+    if state != last.state:
+        return _Reported(state, now, bad_since)
+    if not state or is_acknowledged:
+        return last
+    since = last.since or now
+    due = sum(_seconds(since, now) >= seconds for seconds in config.remind)
+    return _Reported(state, since, bad_since, max(due, last.reminders))
+
+
+def _occasion(last: _Reported, state: _Reported, verdict: Verdict, config: Notify) -> Occasion | None:
+    """What the command is called for, after a night that changed the state from `last` to `state`; None: for nothing."""
+    if state.state != last.state and not verdict.good:
+        return "failed" if verdict.level == "failed" else "degraded"
+    # a good night after one whose findings were all acknowledged is a recovery only if a bad night came before
+    was_bad = last.state and (last.state[0] != _ACKNOWLEDGED or last.bad_since)
+    if was_bad and not state.state:
+        return "recovered"
+    if state.reminders > last.reminders:
+        return "reminder"
+    if config.heartbeat:
+        return "heartbeat"
+    return None
+
+
 def _seconds(begin: str, end: str) -> float:
     return (moment(end) - moment(begin)).total_seconds()
 
@@ -112,25 +137,36 @@ def _seconds(begin: str, end: str) -> float:
 def summary(record: RunRecord, duration: str = "") -> str:
     """A run in one line, for the subject of a message.  duration: how long the site has been, or was, degraded or failed."""
     verdict = record.verdict or Verdict("good")
-    time = f", {'back after' if verdict.good else 'for'} {duration}" if duration else ""
-    head = f"{record.site} {record.date}: {verdict.level}{time}"
-    others = f" (and {len(verdict.findings) - 1} more)" if len(verdict.findings) > 1 else ""
-    line = f"{head}: {verdict.findings[0]}{others}" if verdict.findings else head
+    line = f"{record.site} {record.date}: {verdict.level}"
+    if duration:
+        line += f", back after {duration}" if verdict.good else f", for {duration}"
+    if verdict.findings:
+        line += f": {verdict.findings[0]}"
+    if len(verdict.findings) > 1:
+        line += f" (and {len(verdict.findings) - 1} more)"
     return _on_a_line(line)
 
 
 def _message(occasion: Occasion, duration: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
-    head = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
-    head |= {"summary": summary(record, duration), "lasted": duration}
-    outcome = {**(record.verdict.to_json() if record.verdict else {}), "exit_code": int(record.exit_code)}
-    cloud = str(run.folder / record.cloud.path) if record.cloud else None
-    points = record.cloud.points if record.cloud else 0
-    return {**head, **outcome, "points": points, "report": str(run.report), "record": str(run.record), "cloud": cloud}
+    """What the command reads from its input, as JSON."""
+    message: dict[str, Any] = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
+    message |= {"summary": summary(record, duration), "lasted": duration}
+    if record.verdict:
+        message |= record.verdict.to_json()
+    message["exit_code"] = int(record.exit_code)
+    message["points"] = record.cloud.points if record.cloud else 0
+    message["report"] = str(run.report)
+    message["record"] = str(run.record)
+    message["cloud"] = str(run.folder / record.cloud.path) if record.cloud else None
+    return message
 
 
 def _call(config: Notify, folder: Path, message: dict[str, Any]) -> None:
-    scalars = {name: value for name, value in message.items() if isinstance(value, str | int)}
-    environment = os.environ | {f"WBFLOW_{name.upper()}": str(value) for name, value in scalars.items()}
+    """Call the command with a message: all of it as JSON on its input, and texts and numbers as variables WBFLOW_..."""
+    environment = dict(os.environ)
+    for name, value in message.items():
+        if isinstance(value, str | int):
+            environment[f"WBFLOW_{name.upper()}"] = str(value)
     with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as output:  # files: its children could keep pipes open
         stdin.write(json.dumps(message).encode())
         stdin.seek(0)
@@ -162,9 +198,13 @@ def _call(config: Notify, folder: Path, message: dict[str, Any]) -> None:
 
 
 def _command(config: Notify) -> str:
+    """The command in an error: its beginning, since it may hold an address with a token."""
     command = config.command if isinstance(config.command, str) else config.command[0]
-    return repr(command if len(command) < 60 else f"{command[:57]}...")
+    if len(command) >= 60:
+        command = f"{command[:57]}..."
+    return repr(command)
 
 
 def _on_a_line(words: str) -> str:
+    """A text without line breaks and control characters, and not too long: it becomes the subject of a message."""
     return "".join(letter if letter.isprintable() else " " for letter in words)[:MOST_WORDS]

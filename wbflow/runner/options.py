@@ -56,20 +56,42 @@ class Options:
     def _check_subject(self, site: Site, name: str) -> None:
         """Raises UsageError if `force` names a task that the site cannot have."""
         stage, _, subject = name.partition(" ")
-        views = [id_ for view in site.views for id_ in dict.fromkeys((view.id, camera_of(view.id)))]
-        pairs = {"--".join(pair) for pair in itertools.combinations(dict.fromkeys(views), 2)} if subject else set()
-        subjects = {"camera": set(views), "pair": pairs, "site": {component_name(k) for k in range(1, len(views))}}
-        existing = subjects[stage_named(stage).scope]
-        if subject and subject not in existing:
-            swapped = "--".join(reversed(subject.split("--")))
-            similar = [swapped] if swapped in existing else difflib.get_close_matches(subject, sorted(existing)[:20_000], n=1)
-            remedy = f"did you mean '{stage} {similar[0]}'?" if similar else "wbflow status SITE.yaml  lists the night's tasks"
-            raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
+        if not subject:
+            return  # the whole stage
+        existing = _subjects(site, stage_named(stage).scope)
+        if subject in existing:
+            return
+        swapped = "--".join(reversed(subject.split("--")))
+        if swapped in existing:
+            similar = [swapped]
+        else:
+            # hundreds of cameras have tens of thousands of pairs, and each comparison takes a while
+            similar = difflib.get_close_matches(subject, sorted(existing)[:20_000], n=1)
+        remedy = "wbflow status SITE.yaml  lists the night's tasks"
+        if similar:
+            remedy = f"did you mean '{stage} {similar[0]}'?"
+        raise UsageError(f"--force {name!r}: the site has no such task", remedy=remedy)
+
+
+def _subjects(site: Site, scope: str) -> set[str]:
+    """All subjects, as text, that tasks of a scope can have; of a camera with several views, the camera counts, too."""
+    views: dict[str, None] = {}  # a set that keeps its order
+    for view in site.views:
+        views[view.id] = None
+        views[camera_of(view.id)] = None
+    if scope == "camera":
+        return set(views)
+    if scope == "pair":
+        return {"--".join(pair) for pair in itertools.combinations(views, 2)}
+    return {component_name(k) for k in range(1, len(views))}
 
 
 def _stages_remedy(name: str, names: list[str]) -> str:
+    remedy = f"stages are {', '.join(names)}"
     similar = difflib.get_close_matches(name.split(" ")[0], names, n=1)
-    return f"{f'did you mean {similar[0]}? ' if similar else ''}stages are {', '.join(names)}"
+    if similar:
+        remedy = f"did you mean {similar[0]}? {remedy}"
+    return remedy
 
 
 def worker_roots(texts: tuple[str, ...]) -> dict[Path, Path]:

@@ -58,8 +58,10 @@ class Plan:
         """Find which tasks are cached, ready or waiting; only those that may have changed are examined."""
         while self._must_relist or self._due:
             if self._must_relist:
-                self._list()
-            elif (task := self._due.popleft()) not in self.states and task not in self.running and task not in self.ready:
+                self._list()  # all tasks are due then
+                continue
+            task = self._due.popleft()
+            if task not in self.states and task not in self.running and task not in self.ready:
                 self._derive(stage_named(task.stage), task)
 
     def commit(self, task: Task, state: State) -> None:
@@ -85,10 +87,11 @@ class Plan:
 
     def begin(self, chains: Iterable[list[TaskSpec]]) -> None:
         """Mark the tasks of chains as running."""
-        for task in (spec.task for chain in chains for spec in chain):
-            self.running.add(task)
-            self.ready.pop(task, None)
-            self.waiting.pop(task, None)
+        for chain in chains:
+            for spec in chain:
+                self.running.add(spec.task)
+                self.ready.pop(spec.task, None)
+                self.waiting.pop(spec.task, None)
 
     def release(self, tasks: Iterable[Task]) -> None:
         """Mark tasks as no longer running; those that have not ended are examined again."""
@@ -98,8 +101,13 @@ class Plan:
 
     def newly_ended(self) -> list[tuple[Task, State]]:
         """The tasks that have ended since the last call."""
-        ended, self._newly_ended = self._newly_ended, {}
-        return [(task, state) for task in ended if (state := self.states.get(task))]
+        ended = []
+        for task in self._newly_ended:
+            state = self.states.get(task)
+            if state:  # else it was forgotten since
+                ended.append((task, state))
+        self._newly_ended = {}
+        return ended
 
     def chains(self) -> list[list[TaskSpec]]:
         """The ready tasks, each with the tasks of the same subject that can follow it in the same worker call."""
@@ -128,11 +136,16 @@ class Plan:
     def _list(self) -> None:
         """List all known tasks, to be examined in the order of the pipeline."""
         self._must_relist = False
-        self.ready, self.waiting, self._dependents = {}, {}, {}
-        self._due = deque(task for stage in self.night.stages for task in self.subjects.tasks(stage))
+        self.ready = {}
+        self.waiting = {}
+        self._dependents = {}
+        self._due = deque()
+        for stage in self.night.stages:
+            self._due.extend(self.subjects.tasks(stage))
         self._task_counts = Counter(task.stage for task in self._due)
 
     def _derive(self, stage: Stage, task: Task) -> None:
+        """Find the state of a task: it ends (its result is there, or cannot be made), waits for another one, or is ready."""
         try:
             replacement = self.resolver.replacement(stage, task)
             if isinstance(replacement, Receipt):
@@ -151,24 +164,28 @@ class Plan:
         key = preimage.key()
         if stage.name == FRAMES:
             self.resolver.note_frame(task.subject, key)
-        if not spec.force and (receipt := self.night.cache.by_key(task, key)):
+        receipt = None if spec.force else self.night.cache.by_key(task, key)
+        if receipt:
             self.commit(task, cached_state(receipt))
         else:
             self.ready[task] = spec
 
     def _chain(self, first: TaskSpec) -> list[TaskSpec]:
-        chain, earlier = [first], {first.task}
-        for stage in self.night.stages if first.task.subject else ():
-            follower = Task(stage.name, first.task.subject)
-            if follower not in self.waiting:
-                continue
-            try:
-                replacement = self.resolver.replacement(stage, follower)
-                if not isinstance(replacement, Receipt):
-                    chain.append(self._spec(stage, follower, replacement, earlier))
-                    earlier.add(follower)
-            except (Waiting, Impossible):
-                continue
+        """A ready task, and those of its camera or pair that need only its result, and what is there already."""
+        chain = [first]
+        earlier = {first.task}
+        if first.task.subject:
+            for stage in self.night.stages:
+                follower = Task(stage.name, first.task.subject)
+                if follower not in self.waiting:
+                    continue
+                try:
+                    replacement = self.resolver.replacement(stage, follower)
+                    if not isinstance(replacement, Receipt):
+                        chain.append(self._spec(stage, follower, replacement, earlier))
+                        earlier.add(follower)
+                except (Waiting, Impossible):
+                    continue
         return [self._with_product_files(spec, earlier) for spec in chain]
 
     def _spec(self, stage: Stage, task: Task, adapt: Adapt | None, earlier: Set[Task] = frozenset()) -> TaskSpec:
@@ -187,6 +204,7 @@ class Plan:
         elif stage.name == FUSE and COMPONENT in bound.parameters:
             parameters[COMPONENT] = self.subjects.component_of(task)
         parameters |= stated
+        left_to_function = {name: text for name, text in bound.left_to_function().items() if name not in parameters}
         return TaskSpec(
             task,
             bound.function.dotted,
@@ -194,7 +212,7 @@ class Plan:
             parameters,
             inputs,
             force=not self._force.isdisjoint(names_of(task)),
-            left_to_function={name: text for name, text in bound.left_to_function().items() if name not in parameters},
+            left_to_function=left_to_function,
             folder=self.night.site.folder,
         )
 
@@ -204,10 +222,11 @@ class Plan:
         product_files = []
         for name, function in stage.products.product_files.items():
             inputs: dict[str, Input] = {}
-            for argument, need in stage.products.picture_inputs.items() if name == "picture" else ():
-                try:
-                    inputs[argument] = self._inputs.input_of(spec.task, need, earlier)
-                except (Waiting, Impossible):
-                    inputs[argument] = None
+            if name == "picture":
+                for argument, need in stage.products.picture_inputs.items():
+                    try:
+                        inputs[argument] = self._inputs.input_of(spec.task, need, earlier)
+                    except (Waiting, Impossible):  # the picture is drawn without it
+                        inputs[argument] = None
             product_files.append(ProductFile(name, function, inputs))
         return dataclasses.replace(spec, product_files=tuple(product_files))

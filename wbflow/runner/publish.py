@@ -34,8 +34,8 @@ from .night import Night
 from .plan import Plan
 from .state import summary_of
 
-_OTHER_WORLD = ("unit unknown: these cameras are not connected to the others, and have a frame and a scale of their own",)
-"""PLY comments of a cloud beside the main one."""
+_OTHER_WORLD = "unit unknown: these cameras are not connected to the others, and have a frame and a scale of their own"
+"""PLY comment of a cloud beside the main one."""
 
 Draw = Callable[[Night, RunRecord, Journal, Mapping[str, Any], Path], str]
 """Draws the report of a run: its night, record, events and cameras, and the folder with its files; returns HTML."""
@@ -64,14 +64,20 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     artifacts = products or {}
     unfinished = UnfinishedRun(night.cache.work, run)
     # 1. the products: clouds, cameras, and the files that stages make of their results
-    has_poses = Task(POSES) in artifacts
-    cameras = _cameras(plan, artifacts[Task(POSES)]) if has_poses else {}
-    world = summary_of(plan.states[Task(POSES)], PosesSummary) if has_poses else PosesSummary()
+    cameras: dict[str, Any] = {}
+    world = PosesSummary()
+    if Task(POSES) in artifacts:
+        cameras = _cameras(plan, artifacts[Task(POSES)])
+        world = summary_of(plan.states[Task(POSES)], PosesSummary)
     for task, product in artifacts.items():
-        if task.stage == FUSE:
-            comments = _OTHER_WORLD if task.subject else (*_unit_comments(world.metric), *_place_comments(world.crs))
-            unfinished.write(cloud_name(task.subject), with_comments(product, comments))
-    if has_poses:
+        if task.stage != FUSE:
+            continue
+        if task.subject:  # a component beside the main one
+            comments: tuple[str, ...] = (_OTHER_WORLD,)
+        else:
+            comments = (*_unit_comments(world.metric), *_place_comments(world.crs))
+        unfinished.write(cloud_name(task.subject), with_comments(product, comments))
+    if Task(POSES) in artifacts:
         unfinished.write_cameras(cameras)
     files: dict[str, list[str]] = {}
     for stage, name, data in _files(plan, journal):
@@ -84,7 +90,8 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
         journal.warn(what, task=Task(CHANGES), remedy="keep more nights (`keep:` in the site file)")
     record = run_record(run, ended, journal.started, journal.seconds(own_process), journal.peak_rss_mb, files)
     harmful, harmless = night.files.in_motion(night.site.captures.dated)
-    record = replace(record, cameras=tuple(_with_motion(camera, harmful, harmless) for camera in record.cameras))
+    cameras_of_record = [_with_motion(camera, harmful, harmless) for camera in record.cameras]
+    record = replace(record, cameras=tuple(cameras_of_record))
     acknowledged = _acknowledged(night.site, journal)
     facts = replace(facts_of(ended, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
     record = judge_run(record, night, facts)
@@ -99,17 +106,20 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
 
 
 def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:
-    overwritten = [
-        f"{name} was overwritten during the run; it was read as a whole, and `captures` has the digest of what was used"
-        for name in harmless.get(camera.id, ())
-    ]
-    return replace(camera, captures_in_motion=tuple(harmful.get(camera.id, ())), notes=(*camera.notes, *overwritten))
+    """A camera's record, with those of its captures that changed during the run (see `NightFiles.in_motion`)."""
+    notes = list(camera.notes)
+    for name in harmless.get(camera.id, ()):
+        what = f"{name} was overwritten during the run"
+        notes.append(f"{what}; it was read as a whole, and `captures` has the digest of what was used")
+    return replace(camera, captures_in_motion=tuple(harmful.get(camera.id, ())), notes=tuple(notes))
 
 
 def _cameras(plan: Plan, poses: bytes) -> dict[str, Any]:
     """Return the solved cameras in the form of a calibration, by id.  poses: the artifact, used if the cache lacks that form."""
     receipt = plan.states[Task(POSES)].receipt
-    product = plan.night.cache.product_file(Task(POSES), receipt.key, "cameras") if receipt else None
+    product = None
+    if receipt:
+        product = plan.night.cache.product_file(Task(POSES), receipt.key, "cameras")
     if product is None:
         product = load(stage_named(POSES).products.product_files["cameras"])(artifact.decode(poses))
     cameras: dict[str, Any] = json.loads(product)
@@ -147,9 +157,12 @@ def _files(plan: Plan, journal: Journal) -> Iterator[tuple[str, str, bytes]]:
         if not (stage.products.files and state and state.usable and state.receipt):
             continue
         try:
-            for name, content in load(stage.products.files)(plan.night.cache.load(Task(stage.name), state.receipt)):
-                data = content if isinstance(content, bytes) else bytes(ply_bytes(content, comments=("made by wbflow",)))
-                yield stage.name, name, data
+            result = plan.night.cache.load(Task(stage.name), state.receipt)
+            for name, content in load(stage.products.files)(result):
+                if isinstance(content, bytes):
+                    yield stage.name, name, content
+                else:  # a cloud
+                    yield stage.name, name, bytes(ply_bytes(content, comments=("made by wbflow",)))
         except (WbflowError, ValueError, ImportError) as error:
             journal.warn(f"not all of its files could be made: {error}", task=Task(stage.name))
 

@@ -18,8 +18,10 @@ def terminate_as_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
         yield
         return
-    signals = [s for s in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    old_handlers = {number: signal.signal(number, interrupt) for number in signals}
+    old_handlers = {}
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup has SIGHUP ignored
+            old_handlers[number] = signal.signal(number, interrupt)
     try:
         yield
     finally:

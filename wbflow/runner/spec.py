@@ -60,16 +60,25 @@ class Stored:
 
     def resolved(self, receipt: Receipt | None) -> Stored | None:
         """The same input with file and digests, once its task is done; None if its artifact does not exist or lacks the part."""
-        part = self.field if self.entry is None else f"{self.field}[{self.entry}]"
-        if receipt is None or receipt.file is None or (part and part not in receipt.parts):
+        if receipt is None or receipt.file is None:
             return None
-        digest = receipt.parts[part] if part else receipt.digest
+        part = self.field if self.entry is None else f"{self.field}[{self.entry}]"
+        if not part:
+            digest = receipt.digest
+        elif part in receipt.parts:
+            digest = receipt.parts[part]
+        else:
+            return None
         return Stored(self.task, self.field, self.entry, receipt.file, receipt.digest, digest)
 
     def part_of(self, artifact: Any) -> Any:
         """The input itself, from the artifact that contains it."""
-        part = getattr(artifact, self.field) if self.field else artifact
-        return part if self.entry is None else part[self.entry]
+        if not self.field:
+            return artifact
+        field = getattr(artifact, self.field)
+        if self.entry is None:
+            return field
+        return field[self.entry]
 
 
 @dataclass(frozen=True)
@@ -121,10 +130,13 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
     """Digests by input name, or by "name subject" for mapping inputs."""
     digests: dict[str, str] = {}
     for name, value in inputs.items():
-        if isinstance(value, Joined):
-            digests |= {f"{name} {'--'.join(subject)}": item.digest for subject, item in value.items.items()}
+        if value is None:
+            digests[name] = ""
+        elif isinstance(value, Joined):
+            for subject, item in value.items.items():
+                digests[f"{name} {'--'.join(subject)}"] = item.digest
         else:
-            digests[name] = value.digest if value else ""
+            digests[name] = value.digest
     return digests
 
 
@@ -134,17 +146,28 @@ def site_input(site: Site, need: Source, task: Task) -> Value | Joined | None:
         return Value(SITE_TYPES[need.name], stated_fields(site.survey))
     if need.of == "every":
         return Joined({(view.id,): _stated_value(view, need.name) for view in site.views})
-    view = next((view for view in site.views if (view.id,) == task.subject), None)
-    if view is None or (need.name == "privacy" and not view.privacy):
-        return None
-    return _stated_value(view, need.name)
+    for view in site.views:
+        if (view.id,) != task.subject:
+            continue
+        if need.name == "privacy" and not view.privacy:
+            return None
+        return _stated_value(view, need.name)
+    return None
 
 
 def _stated_value(camera: Camera, name: str) -> Value:
-    if name == "privacy":
-        corners = [corner for polygon in camera.privacy for corner in polygon]
-        return Value(SITE_TYPES[name], {"corners": corners, "counts": [float(len(polygon)) for polygon in camera.privacy]})
-    return Value(SITE_TYPES[name], stated_fields(camera.lens if name == "lens" else camera.placement))
+    """The lens, the placement or the privacy areas of a camera or view."""
+    if name == "lens":
+        return Value(SITE_TYPES[name], stated_fields(camera.lens))
+    if name == "placement":
+        return Value(SITE_TYPES[name], stated_fields(camera.placement))
+    # polygons of any length in two flat lists: all corners, and how many of them each polygon has
+    corners = []
+    counts = []
+    for polygon in camera.privacy:
+        corners.extend(polygon)
+        counts.append(float(len(polygon)))
+    return Value(SITE_TYPES[name], {"corners": corners, "counts": counts})
 
 
 def stored_input(need: Source, task: Task) -> Stored:
@@ -153,8 +176,14 @@ def stored_input(need: Source, task: Task) -> Stored:
     The result is that of the task's own subject, or of the left or right camera of its pair.  If it is of the whole site, a task
     of a camera or pair gets only the entry for its subject in that field.
     """
-    subject = {"left": task.subject[:1], "right": task.subject[1:]}.get(need.of, task.subject)
+    subject = task.subject
+    if need.of == "left":
+        subject = subject[:1]
+    elif need.of == "right":
+        subject = subject[1:]
     if stage_named(need.name).scope != "site":
         return Stored(Task(need.name, subject), need.part)
-    takes_entry = need.part and stage_named(task.stage).scope != "site"
-    return Stored(Task(need.name), need.part, "--".join(subject) if takes_entry else None)
+    entry = None
+    if need.part and stage_named(task.stage).scope != "site":
+        entry = "--".join(subject)
+    return Stored(Task(need.name), need.part, entry)

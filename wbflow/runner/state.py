@@ -109,5 +109,7 @@ class Impossible(Exception):
 
 def blocked_by(task: Task, state: State) -> Impossible:
     """The exception for a task that needs `task`, which has ended without an artifact in the given state."""
-    outcome = state.outcome if state.outcome == "failed" else f"was {state.outcome}"
-    return Impossible(f"{task} {outcome}: {state.reason}" if state.reason else f"{task} {outcome}", state.code or Cause.UPSTREAM)
+    text = f"{task} failed" if state.outcome == "failed" else f"{task} was {state.outcome}"
+    if state.reason:
+        text += f": {state.reason}"
+    return Impossible(text, state.code or Cause.UPSTREAM)

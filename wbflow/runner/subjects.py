@@ -39,8 +39,10 @@ class Subjects:
             return [Task(stage.name, (view.id,)) for view in self.site.views]
         if stage.scope == "pair":
             return [Task(stage.name, pair) for pair in self.pairs(stage.dense) or ()]
-        components = range(1, self.components()) if stage.name == FUSE else ()
-        return [Task(stage.name), *(Task(stage.name, (component_name(k),)) for k in components)]
+        tasks = [Task(stage.name)]
+        if stage.name == FUSE:  # a cloud for each further component
+            tasks += [Task(stage.name, (component_name(k),)) for k in range(1, self.components())]
+        return tasks
 
     def pairs(self, dense: bool = False) -> list[tuple[str, str]] | None:
         """The pairs that are matched, or the dense pairs; None while they are unknown."""
@@ -49,32 +51,46 @@ class Subjects:
 
     def is_unmatched(self, task: Task) -> bool:
         """Does the stage not work on this pair, because the pair was chosen for dense matching without having been matched?"""
-        graph = self._graph(dense=False) if self.dense_chosen and len(task.subject) == 2 else None
-        return graph is not None and not stage_named(task.stage).dense and task.subject not in graph.of.get(task.subject[0], ())
+        if not self.dense_chosen or len(task.subject) != 2 or stage_named(task.stage).dense:
+            return False
+        graph = self._graph(dense=False)
+        return graph is not None and task.subject not in graph.of.get(task.subject[0], ())
 
     def components(self) -> int:
         """The number of components with at least two placed cameras; 0 while the poses are unknown."""
         state = self.states.get(Task(POSES))
-        return sum(len(group) > 1 for group in summary_of(state, PosesSummary).components) if state and state.usable else 0
+        if state is None or not state.usable:
+            return 0
+        return sum(len(component) > 1 for component in summary_of(state, PosesSummary).components)
 
     def component_of(self, task: Task) -> int:
         """The number of the component that a site-wide task is about; 0 for the main one."""
-        numbers = range(1, self.components())
-        return next((k for k in numbers if task.subject == (component_name(k),)), 0)
+        for k in range(1, self.components()):
+            if task.subject == (component_name(k),):
+                return k
+        return 0
 
     def around(self, camera: str) -> list[str]:
         """A camera's partners in dense pairs, in the order of the site file."""
         graph = self._graph(dense=True)
-        around = {c for pair in graph.of.get(camera, ()) for c in pair} - {camera} if graph else set()
-        return sorted(around, key=self._position.__getitem__)
+        if graph is None:
+            return []
+        partners: set[str] = set()
+        for pair in graph.of.get(camera, ()):
+            partners.update(pair)
+        return sorted(partners - {camera}, key=self._position.__getitem__)
 
     def near(self, camera: str) -> list[str]:
         """A camera's partners in dense pairs and, up to `_MOST_NEAR` in all, the cameras with the most dense pairs with these
         partners; in the order of the site file."""
         partners = self.around(camera)
-        counts = Counter(other for partner in partners for other in self.around(partner))
-        candidates = sorted(counts.keys() - {camera, *partners}, key=lambda other: (-counts[other], self._position[other]))
-        return sorted([*partners, *candidates[: max(0, _MOST_NEAR - len(partners))]], key=self._position.__getitem__)
+        counts: Counter[str] = Counter()
+        for partner in partners:
+            counts.update(self.around(partner))
+        others = counts.keys() - {camera, *partners}
+        ranked = sorted(others, key=lambda other: (-counts[other], self._position[other]))
+        added = ranked[: max(0, _MOST_NEAR - len(partners))]
+        return sorted([*partners, *added], key=self._position.__getitem__)
 
     def joined(self, origin: Stage, need: Source, task: Task) -> list[Task]:
         """The tasks whose artifacts, or entries of one, form a mapping input."""
@@ -83,8 +99,10 @@ class Subjects:
         camera = task.subject[0]
         if origin.scope == "pair":
             graph = self._graph(origin.dense)
-            return [Task(origin.name, pair) for pair in graph.of.get(camera, ())] if graph else []
-        return [Task(origin.name, (c,)) for c in (self.near(camera) if need.of == "near" else self.around(camera))]
+            pairs = graph.of.get(camera, ()) if graph else ()
+            return [Task(origin.name, pair) for pair in pairs]
+        others = self.near(camera) if need.of == "near" else self.around(camera)
+        return [Task(origin.name, (other,)) for other in others]
 
     @cached_property
     def _position(self) -> dict[str, int]:

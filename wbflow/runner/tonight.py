@@ -44,7 +44,9 @@ def read_night(site: Site, options: Options) -> Night:
         stale=fresh.stale,
         notes=fresh.notes,
     )
-    return _with_reference(found) if site.settings.pin != "none" else found
+    if site.settings.pin == "none":
+        return found
+    return _with_reference(found)
 
 
 def _with_reference(found: Night) -> Night:
@@ -55,7 +57,8 @@ def _with_reference(found: Night) -> Night:
         return dataclasses.replace(found, reference_fault=error.what)
     if reference is None:
         return found
-    if fault := incompatibility(reference, found):
+    fault = incompatibility(reference, found)
+    if fault:
         change = calibration_change(reference.cameras, found.site)
         return dataclasses.replace(found, reference_fault=fault, calibration_change=change)
     return dataclasses.replace(found, reference=reference)

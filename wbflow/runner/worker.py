@@ -140,7 +140,9 @@ def run_chain(
         Seconds by stage; None if this process is shared with other work.
     """
     make_importable(specs[0].folder)
-    context = _ChainContext(cache, time.process_time if time_limits is not None else time.thread_time)
+    # in a process of its own, threads of a stage count too; in a shared one, the threads of other tasks must not
+    clock = time.thread_time if time_limits is None else time.process_time
+    context = _ChainContext(cache, clock)
     ended: list[FinishedTask] = []
     with progress_reporter(progress, time_limits) as begin:
         for number, spec in enumerate(specs):
@@ -162,11 +164,12 @@ def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:
 def _attempt(spec: TaskSpec, context: _ChainContext) -> FinishedTask:
     """Run one task.  This is the only broad `except`: whatever a stage raises, only its own task fails."""
     try:
-        inputs = {name: _resolve(value, context) for name, value in spec.inputs.items()}
-        resolved = spec if inputs == spec.inputs else dataclasses.replace(spec, inputs=inputs)
+        resolved = dataclasses.replace(spec, inputs={name: _resolve(value, context) for name, value in spec.inputs.items()})
         preimage = resolved.preimage()
         key = preimage.key()
-        if not spec.force and (receipt := context.cache.by_key(spec.task, key)):
+        # inputs made earlier in this chain are known only now: their result may be that of another night
+        receipt = None if spec.force else context.cache.by_key(spec.task, key)
+        if receipt:
             return FinishedTask(spec.task, cached_state(receipt))
         return _execute(resolved, preimage, key, context)
     except DamagedArtifact as damage:
@@ -190,8 +193,9 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
     if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
         return State("failed", f"{error.strerror}; {DISK_FULL_REMEDY}", Cause.DISK_FULL, fresh=True)
     reads_files = any(isinstance(value, Files) for value in spec.inputs.values())
-    if isinstance(error, OSError) or (reads_files and isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"):
-        why = message.partition(": ")[2] or message
+    refuses_input = isinstance(error, ValueError) and type(error).__name__ != "LinAlgError"  # a ValueError too, of NumPy
+    if isinstance(error, OSError) or (reads_files and refuses_input):
+        why = message.partition(": ")[2] or message  # without the name of the class
         return State("failed", why, Cause.BAD_INPUT, trace=trace, fresh=True)
     if isinstance(error, SystemExit):
         message = printable(f"it ended the program (sys.exit({error.code!r}))")
@@ -202,7 +206,8 @@ def _failure(spec: TaskSpec, error: BaseException) -> State:
 def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContext) -> FinishedTask:
     """Load the inputs, call the function, write the artifact, then the receipt."""
     reset_peak()
-    wall_start, cpu_start = time.perf_counter(), context.clock()
+    wall_start = time.perf_counter()
+    cpu_start = context.clock()
     arguments = {name: _load(value, context) for name, value in spec.inputs.items()}
     result = load(spec.function)(**arguments, **spec.parameters)
     rejected_class: Any = load(REJECTED)
@@ -211,13 +216,17 @@ def _execute(spec: TaskSpec, preimage: Preimage, key: str, context: _ChainContex
         named_type = RESULT_TYPES.get(spec.task.stage)
         result_type: Any = load(named_type) | rejected_class if named_type else Any
         load(CHECK_RESULT)(result, spec.function, result_type)
-    outcome: Outcome = "rejected" if isinstance(result, rejected_class) else "ran"
-    if outcome == "ran":
+
+    data = None
+    product_files: dict[str, bytes] = {}
+    warnings: list[str] = []
+    outcome: Outcome = "ran"
+    if isinstance(result, rejected_class):
+        outcome = "rejected"
+        facts = {"digest": "", "reason": printable(result.reason), "code": result.code, "figures": dict(result.figures)}
+    else:
         data, facts = bytes_and_facts(result, spec.task.stage, key)
         product_files, warnings = _draw(spec, result, context)
-    else:
-        data, product_files, warnings = None, dict[str, bytes](), list[str]()
-        facts = {"digest": "", "reason": printable(result.reason), "code": result.code, "figures": dict(result.figures)}
     receipt = Receipt(
         str(spec.task),
         key,
@@ -240,7 +249,8 @@ def _draw(spec: TaskSpec, result: Any, context: _ChainContext) -> tuple[dict[str
 
     Raises DamagedArtifact.
     """
-    product_files, warnings = {}, []
+    product_files = {}
+    warnings = []
     for product in spec.product_files:
         try:
             inputs = {name: _load(_resolve(value, context), context) for name, value in product.inputs.items()}
@@ -271,19 +281,28 @@ def _load(value: Input, context: _ChainContext, keep: bool = True) -> Any:
         captures = [_load_capture(file) for file in value.files]
         return captures[0] if value.single else captures
     if isinstance(value, Joined):
+        # by id of a camera, or by pair of ids
         items = {subject[0] if len(subject) == 1 else subject: item for subject, item in value.items.items()}
         return OnDemand(items, lambda item: _load(item, context, keep=False))  # all together may exceed the memory
-    result = context.results.get(value.file_digest)
-    if result is None and value.field and not value.task.subject:
+    return _load_stored(value, context, keep)
+
+
+def _load_stored(value: Stored, context: _ChainContext, keep: bool) -> Any:
+    """The result of another task, or a part of it; `keep` as for `_load`."""
+    known = context.results.get(value.file_digest)
+    if known is not None:
+        return value.part_of(known)
+    if value.field and not value.task.subject:
+        # a copy: what a stage changes in its part must not reach the tasks of other chains
         return copy.deepcopy(value.part_of(_read_site_wide(context.cache, value.task, value.file, value.file_digest)))
-    if result is None:
-        result = _read(context.cache, value.task, value.file, value.file_digest)
-        if keep:
-            context.results[value.file_digest] = result
+    result = _read(context.cache, value.task, value.file, value.file_digest)
+    if keep:
+        context.results[value.file_digest] = result
     return value.part_of(result)
 
 
 def _read(cache: Cache, task: Task, file: str, digest: str) -> Any:
+    """An artifact from the cache.  Raises DamagedArtifact."""
     return result_of(cache.read(task, cache.work.task(task) / file, digest), task.stage)
 
 
@@ -292,13 +311,17 @@ _read_site_wide = functools.lru_cache(4)(_read)
 
 
 def _from_plain(value: Value) -> Any:
+    """The dataclass of plain values; lists of numbers become arrays of float64."""
     import numpy as np
 
-    fields = {name: np.asarray(v, dtype=np.float64) if isinstance(v, list) else v for name, v in value.plain.items()}
+    fields = {}
+    for name, plain in value.plain.items():
+        fields[name] = np.asarray(plain, dtype=np.float64) if isinstance(plain, list) else plain
     return load(value.kind)(**fields)
 
 
 def _load_capture(file: CaptureFile) -> Any:
+    """The content of a capture.  Raises ChangedFile if it is no longer what the plan was made with."""
     import numpy as np
 
     data = read_untrusted(file.path)
@@ -317,7 +340,11 @@ def peak_bytes() -> int:
     """Return the peak of this process's private memory since `reset_peak`, bytes; if /proc does not provide it, the peak since
     its start, including shared memory."""
     with suppress(OSError, ValueError, KeyError):
-        lines = (line.split() for line in Path("/proc/self/status").read_text().splitlines())
-        kb = {words[0]: int(words[1]) for words in lines if words[0] in {"VmHWM:", "RssFile:", "RssShmem:"}}
+        kb: dict[str, int] = {}
+        for line in Path("/proc/self/status").read_text().splitlines():
+            name, *words = line.split()
+            if name in {"VmHWM:", "RssFile:", "RssShmem:"}:
+                kb[name] = int(words[0])
+        # the peak counts shared pages, too: files of libraries, and memory that processes share
         return (kb["VmHWM:"] - kb["RssFile:"] - kb["RssShmem:"]) * 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
