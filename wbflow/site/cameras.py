@@ -43,11 +43,14 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
         if calibrated and entry is None and camera.intrinsics is None:
             remedy = "correct the id, add the camera to that file, or give its intrinsics here"
             problems.add(location, _lacks(file.calibration, camera, calibrated), remedy)
-        mask = resolve_path(camera.mask, (*location, "mask"), problems) if camera.mask else None
-        if mask and not is_file(mask):
-            remedy = "give the path of an image of the capture's size, white where pixels may be used"
-            problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
-        lens, placement = _merged_lens(camera, entry), _merged_placement(camera, entry, frame)
+        mask = None
+        if camera.mask:
+            mask = resolve_path(camera.mask, (*location, "mask"), problems)
+            if not is_file(mask):
+                remedy = "give the path of an image of the capture's size, white where pixels may be used"
+                problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
+        lens = _merged_lens(camera, entry)
+        placement = _merged_placement(camera, entry, frame)
         cameras.append(Camera(camera.id, lens, placement, mask, camera.privacy, camera.images))
     return cameras
 
@@ -60,20 +63,19 @@ def views_of(camera: Camera) -> tuple[Camera, ...]:
     lens = camera.lens
     if lens.K is None or lens.model in _OWN_PINHOLE or not (lens.width and lens.height):
         return (camera,)
+    views_of_lens = load("wbflow_stages.capture.wide:views_of_lens")
     try:
-        views = load("wbflow_stages.capture.wide:views_of_lens")(lens.K, lens.distortion, lens.width, lens.height, lens.model)
+        turns_and_windows = views_of_lens(lens.K, lens.distortion, lens.width, lens.height, lens.model)
     except (ValueError, ArithmeticError):  # impossible lens: the camera's frame task reports it
-        views = []
-    R = camera.placement.R
-    return tuple(
-        dataclasses.replace(
-            camera,
-            id=view_name(camera.id, number),
-            lens=dataclasses.replace(lens, camera=camera.id, turn=turn, window=window),
-            placement=dataclasses.replace(camera.placement, R=R and product(turn, R)),
-        )
-        for number, (turn, window) in enumerate(views, 1)
-    ) or (camera,)
+        return (camera,)
+    views = []
+    for number, (turn, window) in enumerate(turns_and_windows, 1):
+        view_lens = dataclasses.replace(lens, camera=camera.id, turn=turn, window=window)
+        R = camera.placement.R
+        view_placement = dataclasses.replace(camera.placement, R=R and product(turn, R))
+        view_id = view_name(camera.id, number)
+        views.append(dataclasses.replace(camera, id=view_id, lens=view_lens, placement=view_placement))
+    return tuple(views) or (camera,)
 
 
 def _calibrated_cameras(path: str | None, location: Location, problems: Problems) -> dict[str, Calibrated]:
@@ -118,6 +120,7 @@ def _entry_of(
 
 
 def _check_ids(ids: list[str], problems: Problems) -> None:
+    """Is each id the name of a folder, the only one of its kind, and are the names of pairs different, too?"""
     for i, name in enumerate(ids):
         if not is_name(name):
             remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"
@@ -127,13 +130,16 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
                     f", for example {suggestion}; {{camera}} in captures.pattern stands for the id, so name its files like it"
                 )
             problems.add(("cameras", i), f"{name!r} is not a camera id", remedy)
-        if (first := ids.index(name)) < i:
+        first = ids.index(name)
+        if first < i:
             line, _ = problems.document.place(("cameras", first))
             problems.add(("cameras", i), f"camera {name!r} is named twice, first on line {line}", "give each camera its own id")
     # pairs are called left--right: if ids have dashes in the wrong places, two pairs can get the same name and folder
     dashed = [k for k, name in enumerate(ids) if "--" in name or name.startswith("-") or name.endswith("-")]
+    if not dashed:
+        return
     pairs: dict[str, tuple[str, str]] = {}
-    for left, right in itertools.combinations(dict.fromkeys(ids), 2) if dashed else ():
+    for left, right in itertools.combinations(dict.fromkeys(ids), 2):
         first_pair = pairs.setdefault(f"{left}--{right}", (left, right))
         if first_pair != (left, right):
             what = f"the pairs {first_pair[0]!r}, {first_pair[1]!r} and {left!r}, {right!r} would both be called {left}--{right}"
@@ -142,6 +148,7 @@ def _check_ids(ids: list[str], problems: Problems) -> None:
 
 
 def _lacks(file: str | None, camera: CameraEntry, entries: dict[str, Calibrated]) -> str:
+    """The message that a calibration file has no camera with this id."""
     names = list(entries)
     more = f" and {len(names) - 5} more" if len(names) > 5 else ""
     return f"{file} has no camera {camera.id!r}; it has {', '.join(names[:5])}{more}"
@@ -150,7 +157,8 @@ def _lacks(file: str | None, camera: CameraEntry, entries: dict[str, Calibrated]
 def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
     """Intrinsics and distortion in the site file take precedence, but a calibration replaces a mere field of view."""
     lens = entry.lens if entry else Lens()
-    if (own := camera.intrinsics) and not (entry and own.hfov is not None):
+    own = camera.intrinsics
+    if own and not (entry and own.hfov is not None):
         lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
     if camera.distortion is not None or camera.model is not None:
         coefficients = camera.distortion or []
@@ -161,10 +169,12 @@ def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
 
 def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: LocalFrame | None) -> Placement:
     """The pose in the site file takes precedence, but a complete calibrated pose replaces a rough or incomplete one."""
-    pose, calibrated = camera.pose, entry.placement if entry else Placement()
+    pose = camera.pose
+    calibrated = entry.placement if entry else Placement()
     if pose is None:
         return calibrated
-    if calibrated.R and calibrated.C and (pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0):
+    is_rough = pose.R is None or pose.sigma_m > 0 or pose.sigma_deg > 0
+    if calibrated.R and calibrated.C and is_rough:
         return calibrated
     return Placement(pose.R, _metres(pose, frame), pose.sigma_m, pose.sigma_deg)
 
@@ -185,7 +195,8 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
             problems.add(location, f"{left} has no distance from itself", "name two cameras")
         else:
             distances.append((first, second, float(metres)))
-    points, observations = [], []
+    points = []
+    observations = []
     for k, point in enumerate(file.control_points):
         location = ("control_points", k)
         if len(point.pixels) < 2:
@@ -210,4 +221,6 @@ def _index_of(camera: Any, ids: list[str], location: Location, problems: Problem
 
 def _metres(position: Position, frame: LocalFrame | None) -> list[float] | None:
     """x, y, z; None for a geodetic position without a local frame, for which there is a problem already."""
-    return frame.metres(*position.geodetic) if frame and position.geodetic else position.position
+    if frame and position.geodetic:
+        return frame.metres(*position.geodetic)
+    return position.position

@@ -307,18 +307,25 @@ def nothing_matches(site: Site, date: datetime.date) -> str:
     """Why no camera has a capture: what the pattern wants, and what is there instead."""
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
     there = files_there(site)
-    shown = f"there are {', '.join(there)}" if there else "there is no file at all"
+    shown = "there is no file at all"
+    if there:
+        shown = f"there are {', '.join(there)}"
     return f"captures.pattern wants {wanted}, and {shown} in {printable(site.captures.root)}"
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:
     """The expected names of a camera's captures of a night, for messages."""
-    return ", ".join(camera.images) if camera.images else site.captures.expected(camera.id, date)
+    if camera.images:
+        return ", ".join(camera.images)
+    return site.captures.expected(camera.id, date)
 
 
 def find_named(site: Site, digests: Digests) -> dict[str, CaptureFile]:
     """The files that the site file names: masks by camera id, and files of stages by `file_of_stage`."""
-    paths = {camera.id: camera.mask for camera in site.cameras if camera.mask}
+    paths: dict[str, Path] = {}
+    for camera in site.cameras:
+        if camera.mask:
+            paths[camera.id] = camera.mask
     for stage, settings in site.stages.items():
         for name, path in settings.files.items():
             paths[file_of_stage(stage, name)] = path
@@ -369,7 +376,9 @@ def when_complete(
     for name, files in captures.items():
         complete[name] = []
         for file in files:
-            complete[name].append(with_current_digest(file, digests) if file.path in waited_for else file)
+            if file.path in waited_for:
+                file = with_current_digest(file, digests)
+            complete[name].append(file)
     return complete, frozenset(growing)
 
 
@@ -379,8 +388,10 @@ def _is_written(path: Path) -> bool:
         stamp_ns = path.stat().st_mtime_ns
     except OSError:
         return False
-    # FAT counts in steps of two seconds, so a file that is being written may seem that much older
-    quiet = QUIET_SECONDS if stamp_ns % FAT_STEP_NS or not QUIET_SECONDS else QUIET_SECONDS + FAT_STEP_NS / 1e9
+    quiet = QUIET_SECONDS
+    if QUIET_SECONDS and stamp_ns % FAT_STEP_NS == 0:
+        # FAT counts in steps of two seconds, so a file that is being written may seem that much older
+        quiet += FAT_STEP_NS / 1e9
     return 0 <= time.time() - stamp_ns / 1e9 < quiet
 
 

@@ -23,7 +23,7 @@ from ..remote import is_url
 from ..words import printable
 from .cameras import read_cameras, read_survey, views_of
 from .geodesy import POSITION_REMEDY, local_frame
-from .models import CUSTOM, Site, SiteFile
+from .models import CUSTOM, Camera, Site, SiteFile
 from .pattern import Pattern
 from .plausibility import check_plausibility
 from .stage_settings import read_stages
@@ -36,12 +36,13 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
     Raises SiteError with every problem found.
     """
     path = Path(path)
-    if is_folder(path):
-        folder, path = path, path / "site.yaml"
-        if not path.exists():
-            remedy = f"wbflow init {folder}  writes one from the photographs in there"
-            raise SiteError(Problem(path, "cannot be read: there is no such file", remedy))
-    return site_of(load_yaml(path), work)
+    if not is_folder(path):
+        return site_of(load_yaml(path), work)
+    file = path / "site.yaml"
+    if not file.exists():
+        remedy = f"wbflow init {path}  writes one from the photographs in there"
+        raise SiteError(Problem(file, "cannot be read: there is no such file", remedy))
+    return site_of(load_yaml(file), work)
 
 
 def site_of(document: Document, work: str | Path | None = None) -> Site:
@@ -62,12 +63,15 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
         problems.add(("site",), f"{file.site!r} is not a name", remedy)
     if problems.found:
         raise SiteError(*problems.found)
+    views: list[Camera] = []
+    for camera in cameras:
+        views.extend(views_of(camera))
     return Site(
         file,
         document,
         captures,
         tuple(cameras),
-        tuple(view for camera in cameras for view in views_of(camera)),
+        tuple(views),
         survey,
         stages,
         work_folder,
@@ -98,12 +102,15 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
 
 def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFolder:
     """Return the work folder.  requested: takes precedence over the key `work` of the file."""
-    work, name = requested or file.work or "", file.site if is_name(file.site) else "site"
+    work = requested or file.work or ""
+    name = file.site if is_name(file.site) else "site"  # a wrong name is a problem of its own
     if is_url(work):
         return WorkFolder.mirroring(work, name)
-    if requested:
+    if requested:  # on the command line: relative to the present folder, not to the site file
         return WorkFolder(Path(requested).resolve())
-    return WorkFolder(resolve_path(work, ("work",), problems)) if work else WorkFolder.default_for(problems.document.path, name)
+    if work:
+        return WorkFolder(resolve_path(work, ("work",), problems))
+    return WorkFolder.default_for(problems.document.path, name)
 
 
 def _captures_pattern(file: SiteFile, problems: Problems) -> Pattern:
@@ -143,7 +150,7 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
         data = data.replace("\0", "")
 
     def value(match: re.Match[str]) -> str:
-        name, default = match.group(1), match.group(2)
+        name, default = match.groups()
         content = os.environ.get(name) or default
         if content is None:
             remedy = f"set it, or write a default: ${{{name}:-/path}}"
@@ -155,10 +162,12 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
 
 
 def _check_pairs(file: SiteFile, problems: Problems, notes: Problems) -> None:
+    """Do the limits leave any pair, and are the pairs that the file names pairs of its cameras?"""
     if file.pairs.degree > MOST_PAIRS_PER_VIEW:
         what = f"a view takes {MOST_PAIRS_PER_VIEW} pairs at most, its best, not {file.pairs.degree}"
         notes.add(("pairs", "degree"), what, f"write {MOST_PAIRS_PER_VIEW} or less, e.g. degree: 6")
-    ids, pairs = [camera.id for camera in file.cameras], file.pairs
+    ids = [camera.id for camera in file.cameras]
+    pairs = file.pairs
     if pairs.min_angle >= pairs.max_angle:
         remedy = "min_angle must be below max_angle, both in degrees"
         problems.add(("pairs",), f"no angle is between {pairs.min_angle} and {pairs.max_angle}", remedy)
@@ -207,15 +216,19 @@ _REMEDIES = {
 def _explain(error: ValidationError, problems: Problems) -> None:
     """Add the errors that pydantic found to `problems`, in the terms of a site file."""
     errors = error.errors()
-    unknown = [item["loc"] for item in errors if item["type"] == "extra_forbidden"]
-    misspelt = {
-        (*section, match) for *section, key in unknown for match in difflib.get_close_matches(str(key), _keys_at(section), 1)
-    }
+    # a misspelt key gives two errors: it is unknown, and the right one is missing
+    misspelt: set[tuple[int | str, ...]] = set()
     for item in errors:
-        location, kind = item["loc"], item["type"]
-        section, key = location[:-1], str(location[-1])
-        explained_step = next((str(step) for step in reversed(location) if step in _REMEDIES), "")
-        remedy = _REMEDIES.get(explained_step, "see sites/template.yaml")
+        if item["type"] == "extra_forbidden":
+            *section_steps, key_step = item["loc"]
+            for meant in difflib.get_close_matches(str(key_step), _keys_at(section_steps), 1):
+                misspelt.add((*section_steps, meant))
+    for item in errors:
+        location = item["loc"]
+        kind = item["type"]
+        section = location[:-1]
+        key = str(location[-1])
+        remedy = _remedy_of(location)
         if kind == "extra_forbidden":
             keys = _keys_at(section)
             advice = _slip_of_key(key) or suggest(key, keys, f"known here: {', '.join(keys)}")
@@ -227,8 +240,11 @@ def _explain(error: ValidationError, problems: Problems) -> None:
             what = "is not a text: without quotes, YAML takes {camera} for a mapping"
             problems.add(location, what, "put it in quotes: pattern: '{camera}.jpg'")
         elif kind == "too_long":
-            most, count = item["ctx"]["max_length"], item["ctx"]["actual_length"]
-            advice = f"{_DECIMAL_COMMA}; {remedy}" if _may_have_decimal_commas(item["input"], most) else remedy
+            most = item["ctx"]["max_length"]
+            count = item["ctx"]["actual_length"]
+            advice = remedy
+            if _may_have_decimal_commas(item["input"], most):
+                advice = f"{_DECIMAL_COMMA}; {remedy}"
             problems.add(location, f"holds {count} values, {most} belong there", advice)
         elif isinstance(item["input"], str) and re.fullmatch(r"[-+]?\d+,\d+", item["input"].strip()):
             corrected = item["input"].strip().replace(",", ".")
@@ -236,8 +252,18 @@ def _explain(error: ValidationError, problems: Problems) -> None:
         elif kind == CUSTOM:
             problems.add(location, item["msg"], remedy)
         else:
-            shown = "" if isinstance(item["input"], dict | list) else f", not {item['input']!r}"
-            problems.add(location, f"{item['msg'][0].lower()}{item['msg'][1:]}{shown}", remedy)
+            what = f"{item['msg'][0].lower()}{item['msg'][1:]}"
+            if not isinstance(item["input"], dict | list):
+                what += f", not {item['input']!r}"
+            problems.add(location, what, remedy)
+
+
+def _remedy_of(location: Location) -> str:
+    """How the innermost section of a location, of those that have a remedy, is written."""
+    for step in reversed(location):
+        if step in _REMEDIES:
+            return _REMEDIES[str(step)]
+    return "see sites/template.yaml"
 
 
 _DECIMAL_COMMA = "write decimals with a point, not a comma (1.5, not 1,5)"
@@ -256,24 +282,30 @@ def _slip_of_key(key: str) -> str:
     name, colon, value = key.partition(":")
     if colon and name and value:
         return f"write a space after the colon: {printable(name)}: {printable(value)}"
-    return _DECIMAL_COMMA if re.fullmatch(r"\d+", key) else ""
+    if re.fullmatch(r"\d+", key):
+        return _DECIMAL_COMMA
+    return ""
 
 
 def _without_faults(data: dict[str, Any], error: ValidationError) -> SiteFile | None:
     """The site file without its faulty values, so that the rest is checked in the same run; None if too little is left."""
-    cameras = data.get("cameras")
-    data = {**data, "cameras": list(cameras) if isinstance(cameras, list) else []}
+    valid = dict(data)
+    cameras: list[Any] = []
+    if isinstance(data.get("cameras"), list):
+        cameras = list(data["cameras"])
+    valid["cameras"] = cameras
     for item in error.errors():
         section, *steps = item["loc"]
         if section == "cameras" and steps and isinstance(steps[0], int):
-            camera = data["cameras"][steps[0]]
-            data["cameras"][steps[0]] = (
-                {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}} if isinstance(camera, dict) else None
-            )
+            # a stand-in: the other cameras keep their positions, and pairs may name it
+            camera = cameras[steps[0]]
+            cameras[steps[0]] = None
+            if isinstance(camera, dict):
+                cameras[steps[0]] = {"id": camera.get("id"), "intrinsics": {"hfov": 60.0}}
         else:
-            data.pop(str(section), None)
+            valid.pop(str(section), None)
     try:
-        return SiteFile.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **data})
+        return SiteFile.model_validate({"site": "site", "captures": {"pattern": "{camera}"}, **valid})
     except ValidationError:
         return None
 
@@ -291,4 +323,8 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     """The model within an annotation such as `list[CameraEntry]` or `Pose | None`."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((model for inner in typing.get_args(annotation) if (model := _model_in(inner))), None)
+    for inner in typing.get_args(annotation):
+        model = _model_in(inner)
+        if model:
+            return model
+    return None

@@ -38,6 +38,7 @@ CameraPair = Annotated[list[str], Field(min_length=2, max_length=2)]
 GEODETIC_SIGMA_M = 3.0
 """Standard deviation, in metres, of a geodetic position that is given without one: that of a plain satellite receiver."""
 _GEODETIC_FIELDS = ("latitude", "longitude", "height")
+"""Fields of a geodetic position, in the order of `Position.geodetic`."""
 
 CUSTOM = "site"
 """Type of validation errors whose message is shown as it is, without the input value appended."""
@@ -67,7 +68,8 @@ class Captures(Section):
     @field_validator("pattern")
     @classmethod
     def _check_fields(cls, pattern: str) -> str:
-        if fault := pattern_fault(pattern):
+        fault = pattern_fault(pattern)
+        if fault:
             raise _error(fault)
         return pattern
 
@@ -112,13 +114,19 @@ class Position(Section):
 
     @model_validator(mode="after")
     def _check_position(self) -> Position:
-        given = [name for name in _GEODETIC_FIELDS if getattr(self, name) is not None]
-        if self.position is not None and given:
-            raise _error(f"'position' and '{given[0]}' are both given: keep one of them")
-        if self.position is None and not given:
+        stated = []
+        missing = []
+        for name in _GEODETIC_FIELDS:
+            if getattr(self, name) is not None:
+                stated.append(name)
+            else:
+                missing.append(name)
+        if self.position is not None and stated:
+            raise _error(f"'position' and '{stated[0]}' are both given: keep one of them")
+        if self.position is None and not stated:
             raise _error("'position' is missing")
-        if given and len(given) < 3:
-            raise _error(f"'{next(name for name in _GEODETIC_FIELDS if name not in given)}' is missing")
+        if stated and missing:
+            raise _error(f"'{missing[0]}' is missing")
         return self
 
     @property
@@ -147,14 +155,15 @@ class Pose(Position):
 
     @model_validator(mode="after")
     def _check_direction(self) -> Pose:
-        given = [n for n in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, n) is not None]
-        if len(given) > 1:
-            raise _error(f"{' and '.join(given)} are both given")
+        stated = [name for name in ("rotation", "look_at", "yaw_pitch_roll") if getattr(self, name) is not None]
+        if len(stated) > 1:
+            raise _error(f"{' and '.join(stated)} are both given")
         if self.look_at is not None and self.position is None:
             raise _error("'look_at' needs 'position' in the same coordinates")
-        if self.rotation_sigma_deg is not None and not given:
+        if self.rotation_sigma_deg is not None and not stated:
             raise _error("'rotation_sigma_deg' is given without a rotation")
-        if self.rotation and (fault := rotation_fault(self.rotation)):
+        fault = rotation_fault(self.rotation) if self.rotation else ""
+        if fault:
             raise _error(f"'rotation' {fault}")
         try:
             _ = self.R
@@ -223,7 +232,8 @@ class CameraEntry(Section):
     def _check_lens(self) -> CameraEntry:
         if self.distortion is None and self.model is None:
             return self
-        if fault := lens_fault(self.model or "brown", self.distortion):
+        fault = lens_fault(self.model or "brown", self.distortion)
+        if fault:
             raise _error(fault)
         needs_matrix = self.model not in {None, "pinhole", "brown"}
         if needs_matrix and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
@@ -236,13 +246,15 @@ class CameraEntry(Section):
         for polygon in polygons:
             if len(polygon) < 3:
                 raise _error("a polygon has three corners or more: [[x, y], [x, y], [x, y]]")
-            if min(value for corner in polygon for value in corner) < 0:
+            if min(min(corner) for corner in polygon) < 0:
                 raise _error("corners are pixels of a capture, or shares of its width and height, from 0")
         return polygons
 
 
 def _parse_camera(entry: Any) -> Any:
-    return {"id": entry} if isinstance(entry, str) else entry
+    if isinstance(entry, str):
+        return {"id": entry}
+    return entry
 
 
 CameraOrId = Annotated[CameraEntry, BeforeValidator(_parse_camera, json_schema_input_type=str | CameraEntry)]
@@ -268,8 +280,10 @@ def _parse_nights(value: Any) -> int | None:
 
 
 def _parse_bytes(value: Any) -> int | None:
+    if value is None or value == "all":
+        return None
     try:
-        return None if value is None or value == "all" else bytes_of(str(value))
+        return bytes_of(str(value))
     except ValueError as error:
         raise _error(str(error)) from None
 
@@ -278,7 +292,7 @@ Nights = Annotated[int | None, BeforeValidator(_parse_nights, json_schema_input_
 
 
 class KeepEntry(Section):
-    """What is kept on disk after a run."""
+    """What is kept on disk after a run; None: everything."""
 
     nights: Nights = None
     bytes: Annotated[int | None, BeforeValidator(_parse_bytes, json_schema_input_type=int | str | None)] = None
@@ -287,9 +301,9 @@ class KeepEntry(Section):
 
     def limits(self) -> Keep:
         """The limits to apply: clouds and reports are kept for `nights` nights unless they have a limit of their own."""
-        given = self.model_fields_set
-        clouds = self.clouds if "clouds" in given else self.nights
-        reports = self.reports if "reports" in given else self.nights
+        stated = self.model_fields_set  # `clouds: all` is None, too, and is a limit of its own
+        clouds = self.clouds if "clouds" in stated else self.nights
+        reports = self.reports if "reports" in stated else self.nights
         return Keep(nights=self.nights, bytes=self.bytes, clouds=clouds, reports=reports)
 
 
@@ -306,8 +320,10 @@ class Measure(StrEnum):
 def _parse_date(value: Any) -> str:
     if isinstance(value, datetime.date):
         return value.isoformat()
+    if not value:
+        return ""
     try:
-        return datetime.date.fromisoformat(value).isoformat() if value else ""
+        return datetime.date.fromisoformat(value).isoformat()
     except (TypeError, ValueError):
         raise _error(f"{value!r} is not a date such as 2026-11-20") from None
 
@@ -329,7 +345,9 @@ class Expected(Section):
     @classmethod
     def _drop_empty(cls, data: Any) -> Any:
         """Drop keys without a value, so that their defaults apply."""
-        return {key: value for key, value in data.items() if value is not None} if isinstance(data, dict) else data
+        if not isinstance(data, dict):
+            return data
+        return {key: value for key, value in data.items() if value is not None}
 
     def limit(self, name: str) -> float:
         """The minimum share, or count, of a figure on a good night; 0 if there is no limit."""
@@ -337,11 +355,13 @@ class Expected(Section):
 
 
 def _parse_duration(value: Any) -> float:
-    units = {"min": 60.0, "h": 3600.0, "d": 86400.0}
-    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value) if isinstance(value, str) else None
+    seconds_of = {"min": 60.0, "h": 3600.0, "d": 86400.0}
+    match = None
+    if isinstance(value, str):
+        match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", value)
     if not match or not float(match[1]):
         raise _error(f"{value!r} is not a duration; write for example 30min, 1h or 1d")
-    return float(match[1]) * units[match[2]]
+    return float(match[1]) * seconds_of[match[2]]
 
 
 Duration = Annotated[float, BeforeValidator(_parse_duration, json_schema_input_type=str)]
@@ -431,8 +451,12 @@ def site_schema() -> dict[str, Any]:
 def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:
     """The fields that differ from their defaults, by name."""
     default = type(value)()
-    values = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    return {name: value for name, value in values.items() if value != getattr(default, name)}
+    stated = {}
+    for declared in dataclasses.fields(value):
+        own = getattr(value, declared.name)
+        if own != getattr(default, declared.name):
+            stated[declared.name] = own
+    return stated
 
 
 @dataclass(frozen=True)
@@ -517,7 +541,9 @@ class Site:
     @property
     def zone(self) -> zoneinfo.ZoneInfo | None:
         """The time zone of the site; None if the file names none: that of this machine."""
-        return zoneinfo.ZoneInfo(self.settings.timezone) if self.settings.timezone else None
+        if not self.settings.timezone:
+            return None
+        return zoneinfo.ZoneInfo(self.settings.timezone)
 
     def today(self) -> datetime.date:
         """The present date at the site."""

@@ -83,13 +83,16 @@ class Pattern:
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:
         """When a capture was taken, from its name; None if the name contains no time of day."""
-        return self._moment_reader(camera)(str(path)) if "time" in self._fields else None
+        if "time" not in self._fields:
+            return None
+        return self._moment_reader(camera)(str(path))
 
     def moments(self, camera: str) -> Iterator[datetime.datetime]:
         """The date, with the time if names contain it, of each file of a camera."""
         moment = self._moment_reader(camera)
         for name in find_untrusted(self._glob_pattern(camera)):
-            if taken := moment(name):
+            taken = moment(name)
+            if taken:
                 yield taken
 
     def cameras(self) -> set[str]:
@@ -97,10 +100,15 @@ class Pattern:
         if "{camera}" not in self.text:
             return set()
         wildcards = self._in_root(self._filled(None).replace("{camera}", "*"))
+        # a zero byte, which no pattern has, marks the places of {camera}: all but the first must repeat the same name
         start, *others = self._regex("\0").split("\0")
         expression = re.compile(start + "(?P<camera>[^/]+?)" + "(?P=camera)".join(others))
-        matches = (expression.fullmatch(name) for name in find_untrusted(wildcards))
-        return {match["camera"] for match in matches if match}
+        cameras = set()
+        for name in find_untrusted(wildcards):
+            match = expression.fullmatch(name)
+            if match:
+                cameras.add(match["camera"])
+        return cameras
 
     def expected(self, camera: str, date: datetime.date) -> str:
         """The path, with wildcards, of a camera's captures of a night, for messages."""
@@ -115,7 +123,9 @@ class Pattern:
             raise ValueError(f"{self.text} contains ? or [, which the name of a new capture cannot have")
         text = _FIELD.sub(lambda match: moment.strftime(_format_of(match)), self.text)
         text = re.sub(r"\*\*/?", "", text)
-        text = text.replace("*", "" if "time" in self._fields else f"{moment:%H%M%S}", 1).replace("*", "")
+        if "time" not in self._fields:
+            text = text.replace("*", f"{moment:%H%M%S}", 1)
+        text = text.replace("*", "")
         return self.root / text.replace("{camera}", camera)
 
     def _glob_pattern(self, camera: str, date: datetime.date | None = None) -> str:
@@ -144,7 +154,9 @@ class Pattern:
 
         def moment(path: str) -> datetime.datetime | None:
             match = expression.fullmatch(path) if directives else None
-            return _parsed(directives, match.groups()) if match else None
+            if match is None:
+                return None
+            return _parsed(directives, match.groups())
 
         return moment
 
@@ -161,10 +173,13 @@ class Pattern:
         if suffix:
             text = text[: suffix.start()]
         for part in _PARTS.split(text):
-            if field := _FIELD.fullmatch(part):
+            field = _FIELD.fullmatch(part)
+            if field:
                 for piece in _DIRECTIVE.split(_format_of(field)):
-                    is_directive = _DIRECTIVE.fullmatch(piece) is not None
-                    pieces.append(f"({_NUMBERS.get(piece, '.+?')})" if is_directive else re.escape(piece))
+                    if _DIRECTIVE.fullmatch(piece):
+                        pieces.append(f"({_NUMBERS.get(piece, '.+?')})")
+                    else:
+                        pieces.append(re.escape(piece))
             elif part == "{camera}":
                 pieces.append(camera)
             elif part.startswith("**"):

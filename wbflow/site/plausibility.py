@@ -45,6 +45,8 @@ FARTHEST_M = 100_000.0
 """Cameras of one site that are further apart do not see the same things."""
 LEAST_APART_M = 0.001
 """Two stated cameras closer than this are at the same place, which gives no depth."""
+MOST_CAMERAS_COMPARED = 300
+"""Sites with more cameras are not searched for two at the same place: the pairs are too many to be looked at in each run."""
 MOST_DISTANCE_RATIO = 1.5
 """Largest ratio of a stated distance and that between stated positions; more is a mistake, not an error of measuring."""
 SIGMAS = 4.0
@@ -87,6 +89,7 @@ def check_plausibility(
 
 
 def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, doubts: Problems) -> None:
+    """Do focal lengths, principal point, size of the pictures and distortion go together?"""
     entry = file.cameras[position]
     location: Location = ("cameras", position)
     if entry.intrinsics is not None:
@@ -104,7 +107,9 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
     fx, _, cx = lens.K[0]
     _, fy, cy = lens.K[1]
     field_deg = _field_deg(lens, fx)
-    most_deg = WIDEST_PINHOLE_DEG if lens.model in {"pinhole", "brown", "rational"} else WIDEST_DEG
+    most_deg = WIDEST_DEG
+    if lens.model in {"pinhole", "brown", "rational"}:
+        most_deg = WIDEST_PINHOLE_DEG
     if lens.model != "equirectangular" and field_deg > most_deg:
         what = f"fx is {fx:g} pixels and the picture {lens.width} wide: the lens would see {field_deg:.1f} degrees"
         remedy = f"give fx and fy in pixels, not millimetres: fx = {lens.width} x focal length / width of the sensor"
@@ -143,8 +148,8 @@ def _check_distortion(location: Location, lens: Lens, halfway: float, problems: 
     """
     if lens.model not in {"brown", "rational", "fisheye"} or not any(lens.distortion):
         return
-    radii = [halfway * step / 20 for step in range(1, 21)]
-    images = [_distorted_radius(lens, radius) for radius in radii]
+    images = [_distorted_radius(lens, halfway * step / 20) for step in range(1, 21)]
+    # folded: a point further out is imaged further in
     is_folded = any(later <= earlier for earlier, later in itertools.pairwise([0.0, *images]))
     scale = images[-1] / halfway
     if is_folded or not LEAST_SCALE <= scale <= MOST_SCALE:
@@ -166,15 +171,19 @@ def _distorted_radius(lens: Lens, radius: float) -> float:
     """The distance from the middle at which a point is imaged, by the radial coefficients, in focal lengths."""
     k = lens.distortion
     if lens.model == "fisheye":
+        # angle (1 + k1 angle^2 + k2 angle^4 + ...)
         angle = math.atan(radius)
         return angle * (1 + sum(coefficient * angle ** (2 * power) for power, coefficient in enumerate(k[:4], 1)))
+    # k1 k2 p1 p2 k3 k4 k5 k6: a polynomial, of a rational lens divided by another one
+    k1, k2, _, _, k3 = [*k, 0.0, 0.0, 0.0, 0.0][:5]
     r2 = radius * radius
-    k3 = k[4] if len(k) > 4 else 0.0
-    numerator = 1 + k[0] * r2 + (k[1] if len(k) > 1 else 0.0) * r2**2 + k3 * r2**3
-    denominator = 1.0
+    numerator: float = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    denominator: float = 1.0
     if len(k) >= 8:
         denominator = 1 + k[5] * r2 + k[6] * r2**2 + k[7] * r2**3
-    return radius * numerator / denominator if denominator else math.inf
+    if not denominator:
+        return math.inf
+    return radius * numerator / denominator
 
 
 def _check_privacy(position: int, camera: Camera, problems: Problems) -> None:
@@ -182,10 +191,13 @@ def _check_privacy(position: int, camera: Camera, problems: Problems) -> None:
     size = (camera.lens.width, camera.lens.height)
     for index, polygon in enumerate(camera.privacy):
         location = ("cameras", position, "privacy", index)
-        if what := crossing(polygon):
-            problems.add(location, what, "give the corners in their order along the border, as wbflow edit draws them")
-        elif all(size) and (fault := polygon_outside(polygon, size)):
-            problems.add(location, fault, "corners are pixels of a capture, x before y, or shares of its width and height")
+        crossed = crossing(polygon)
+        if crossed:
+            problems.add(location, crossed, "give the corners in their order along the border, as wbflow edit draws them")
+            continue
+        outside = polygon_outside(polygon, size) if all(size) else ""
+        if outside:
+            problems.add(location, outside, "corners are pixels of a capture, x before y, or shares of its width and height")
 
 
 def polygon_outside(polygon: Sequence[Sequence[float]], size: tuple[int, int]) -> str:
@@ -211,16 +223,17 @@ def _check_places(file: SiteFile, cameras: Sequence[Camera], problems: Problems,
     centres = {k: camera.placement.C for k, camera in enumerate(cameras) if camera.placement.C is not None}
     if len(centres) < 2:
         return
-    middle = [statistics.median(centre[axis] for centre in centres.values()) for axis in range(3)]
-    # from the median, so that one camera that is off does not move the middle
-    far = {k: math.dist(centre, middle) for k, centre in centres.items()}
     spread = max(math.dist(a, b) for a, b in itertools.combinations(centres.values(), 2))
     if not spread <= FARTHEST_M:  # also if it is not a number
-        k = max(far, key=lambda index: (_swapped_is_nearer(file, index), far[index]))
+        # the median, so that one camera that is off does not move the middle
+        middle = [statistics.median(centre[axis] for centre in centres.values()) for axis in range(3)]
+        k = max(centres, key=lambda index: (_swapped_is_nearer(file, index), math.dist(centres[index], middle)))
         what = f"camera {cameras[k].id} is {number(spread / 1000)} km from another; those of one site are within 100 km"
         problems.add(_pose_location(file, k), what, _remedy_of_far(file, k))
         return
-    for (i, first), (j, second) in itertools.combinations(centres.items(), 2) if len(centres) <= 300 else ():
+    if len(centres) > MOST_CAMERAS_COMPARED:
+        return
+    for (i, first), (j, second) in itertools.combinations(centres.items(), 2):
         if math.dist(first, second) < LEAST_APART_M:
             what = f"cameras {cameras[i].id} and {cameras[j].id} are stated {math.dist(first, second):g} m apart: at one place"
             doubts.add(_pose_location(file, j), what, "give each camera its own position: without a baseline there is no depth")
@@ -228,7 +241,9 @@ def _check_places(file: SiteFile, cameras: Sequence[Camera], problems: Problems,
 
 
 def _pose_location(file: SiteFile, k: int) -> Location:
-    return ("cameras", k, "pose") if file.cameras[k].pose else ("cameras", k)
+    if file.cameras[k].pose:
+        return ("cameras", k, "pose")
+    return ("cameras", k)  # its pose is of the calibration
 
 
 def _geodetic(file: SiteFile, k: int) -> tuple[float, float, float] | None:
@@ -239,13 +254,18 @@ def _geodetic(file: SiteFile, k: int) -> tuple[float, float, float] | None:
 def _swapped_is_nearer(file: SiteFile, k: int) -> bool:
     """Would a camera be near the others if its latitude and longitude were exchanged?"""
     own = _geodetic(file, k)
-    others = [place for j in range(len(file.cameras)) if j != k and (place := _geodetic(file, j))]
-    if own is None or not others:
+    if own is None:
         return False
-    return any(abs(own[1] - other[0]) < 1 and abs(own[0] - other[1]) < 1 for other in others)
+    latitude, longitude, _ = own
+    for j in range(len(file.cameras)):
+        other = _geodetic(file, j)
+        if j != k and other and abs(longitude - other[0]) < 1 and abs(latitude - other[1]) < 1:  # degrees
+            return True
+    return False
 
 
 def _remedy_of_far(file: SiteFile, k: int) -> str:
+    """What to do about a camera that is far from the others."""
     own = _geodetic(file, k)
     if own and _swapped_is_nearer(file, k):
         located = sum(_geodetic(file, j) is not None for j in range(len(file.cameras)))
@@ -260,7 +280,9 @@ def _check_uprightness(cameras: Sequence[Camera], doubts: Problems) -> None:
     if not ups:
         return
     mean = [statistics.fmean(up[axis] for up in ups) for axis in range(3)]
-    if len(ups) > 1 and max(abs(mean[0]), abs(mean[1])) > LEAST_UP and max(abs(up[2]) for up in ups) < LEAST_UP:
+    is_along_other_axis = max(abs(mean[0]), abs(mean[1])) > LEAST_UP
+    none_is_upright = max(abs(up[2]) for up in ups) < LEAST_UP
+    if len(ups) > 1 and is_along_other_axis and none_is_upright:
         axis = "x" if abs(mean[0]) > abs(mean[1]) else "y"
         share = max(mean[0], mean[1], key=abs)
         what = f"by the stated poses, up is {axis} in all {len(ups)} pictures ({share:.2f}), and not z ({mean[2]:.2f})"
@@ -268,6 +290,7 @@ def _check_uprightness(cameras: Sequence[Camera], doubts: Problems) -> None:
 
 
 def _check_distances(file: SiteFile, cameras: Sequence[Camera], problems: Problems) -> None:
+    """Do stated distances fit stated positions?"""
     places = {camera.id: camera.placement for camera in cameras}
     for k, (left, right, metres) in enumerate(file.distances):
         if not isinstance(left, str) or not isinstance(right, str):
@@ -287,6 +310,7 @@ def _check_distances(file: SiteFile, cameras: Sequence[Camera], problems: Proble
 
 
 def _check_control_points(file: SiteFile, cameras: Sequence[Camera], doubts: Problems) -> None:
+    """Are the pixels of control points within the pictures?"""
     lenses = {camera.id: camera.lens for camera in cameras}
     for k, point in enumerate(file.control_points):
         for camera, (x, y) in point.pixels.items():
@@ -299,22 +323,25 @@ def _check_control_points(file: SiteFile, cameras: Sequence[Camera], doubts: Pro
 
 
 def _check_zones(file: SiteFile, problems: Problems, doubts: Problems) -> None:
+    """Can anything be found within the bounds, and in each zone?"""
     if file.bounds:
         sides = [abs(a - b) for a, b in zip(*file.bounds, strict=True)]
         if min(sides) == 0:
-            what = f"the box is {' x '.join(f'{side:g}' for side in sides)} m: it holds nothing"
+            size = " x ".join(f"{side:g}" for side in sides)
+            what = f"the box is {size} m: it holds nothing"
             problems.add(("bounds",), what, "give two opposite corners: bounds: [[-20, -30, 0], [20, 30, 12]]")
     for k, zone in enumerate(file.zones or []):
         location: Location = ("zones", k, "polygon")
-        if what := crossing(zone.polygon):
-            problems.add(location, f"zone {zone.name}: {what}", "give the corners in their order along the border")
+        crossed = crossing(zone.polygon)
+        if crossed:
+            problems.add(location, f"zone {zone.name}: {crossed}", "give the corners in their order along the border")
             continue
         if area(zone.polygon) == 0:
             problems.add(location, f"zone {zone.name} has an area of 0 m2", "give three corners or more that are not on a line")
             continue
-        size = diameter(zone.polygon)
-        if zone.least_m > size:
-            what = f"zone {zone.name} is {size:.3g} m across, and changes below {zone.least_m:g} m are not reported in it"
+        extent = diameter(zone.polygon)
+        if zone.least_m > extent:
+            what = f"zone {zone.name} is {extent:.3g} m across, and changes below {zone.least_m:g} m are not reported in it"
             doubts.add(("zones", k, "least_m"), what, "give a least size in metres that fits into the zone")
         if file.bounds and not _overlap(zone.polygon, file.bounds):
             corner = f"{zone.polygon[0][0]:g}, {zone.polygon[0][1]:g}"
@@ -323,6 +350,7 @@ def _check_zones(file: SiteFile, problems: Problems, doubts: Problems) -> None:
 
 
 def _overlap(polygon: Sequence[Sequence[float]], bounds: Sequence[Sequence[float]]) -> bool:
+    """Do the boxes around a polygon and between two corners overlap, seen from above?"""
     for axis in (0, 1):
         low, high = sorted((bounds[0][axis], bounds[1][axis]))
         values = [corner[axis] for corner in polygon]
@@ -332,6 +360,7 @@ def _overlap(polygon: Sequence[Sequence[float]], bounds: Sequence[Sequence[float
 
 
 def _check_expectations(file: SiteFile, doubts: Problems) -> None:
+    """Can what is expected of a good night be reached, and is what is kept enough for a night?"""
     count = len(file.cameras)
     most = {"cameras": count, "pairs": count * (count - 1) // 2, "coverage": 1}
     for name, limit in most.items():
@@ -340,12 +369,12 @@ def _check_expectations(file: SiteFile, doubts: Problems) -> None:
             what = f"{value:g} is expected, {limit} is the most that this site can have"
             doubts.add(("expect", name), what, f"give a share of what is usual: {name}: 0.7")
     if 1 < file.expect.points <= 100:
-        what = (
-            f"{file.expect.points:g} is a count of points; as percent of what is usual it would be {file.expect.points / 100:g}"
-        )
-        doubts.add(("expect", "points"), what, f"for a share write points: {file.expect.points / 100:g}")
-    if file.expect.since and file.expect.since > str(datetime.datetime.now(datetime.UTC).date() + datetime.timedelta(days=1)):
-        today = datetime.datetime.now(datetime.UTC).date()
+        points = file.expect.points
+        what = f"{points:g} is a count of points; as percent of what is usual it would be {points / 100:g}"
+        doubts.add(("expect", "points"), what, f"for a share write points: {points / 100:g}")
+    today = datetime.datetime.now(datetime.UTC).date()
+    tomorrow = today + datetime.timedelta(days=1)  # of a site further east it may be that already
+    if file.expect.since and file.expect.since > str(tomorrow):
         doubts.add(("expect", "since"), f"{file.expect.since} is in the future; today is {today}", "give a day with a good night")
     if file.keep.bytes is not None and file.keep.bytes < LEAST_KEPT_BYTES:
         what = f"{format_size(file.keep.bytes)} are kept; a night of the smallest site takes {format_size(LEAST_KEPT_BYTES)}"
@@ -372,9 +401,13 @@ def _check_notify(file: SiteFile, folder: Path, doubts: Problems) -> None:
     if isinstance(command, str):
         words = list(itertools.dropwhile(lambda word: "=" in word.split("/")[0], words))  # settings of variables come first
     program = words[0].rstrip(";") if words else ""
-    if not program or program.startswith(("$", "`", "(", "#")) or (isinstance(command, str) and program in _SHELL_WORDS):
+    is_of_shell = program.startswith(("$", "`", "(", "#")) or (isinstance(command, str) and program in _SHELL_WORDS)
+    if not program or is_of_shell:
         return
-    path = str(folder / program) if "/" in program and not program.startswith("~") else str(Path(program).expanduser())
+    if "/" in program and not program.startswith("~"):
+        path = str(folder / program)
+    else:
+        path = str(Path(program).expanduser())
     if shutil.which(path) is None:
         what = f"there is no program {program!r} here"
         if Path(path).is_file():
@@ -399,26 +432,36 @@ def _check_parameters(stages: Mapping[str, StageSettings], reader: FunctionReade
             used = [known[key] for key in settings.parameters if key in known]
             _, docs = document(function, used, reader)
             for doc in docs:
+                location = ("stages", name, doc.parameter.name)
                 value = settings.parameters[doc.parameter.name]
-                _check_number(
-                    ("stages", name, doc.parameter.name), doc.parameter, f"{doc.unit} {doc.meaning}", value, problems, doubts
-                )
+                _check_number(location, doc.parameter, f"{doc.unit} {doc.meaning}", value, problems, doubts)
 
 
 def _check_number(
     location: Location, parameter: Parameter, meaning: str, value: object, problems: Problems, doubts: Problems
 ) -> None:
+    """Is a number that a parameter is set to of the order of its default, and from 0 to 1 if it is a share?
+
+    meaning: unit and meaning of the parameter, in words.
+    """
     default = parameter.default
     if isinstance(value, bool) or not isinstance(value, int | float) or isinstance(default, bool):
         return
     if not isinstance(default, int | float) or not default:
         return
-    is_share = 0 < default < 1 and any(word in meaning for word in ("probability", "share", "0 to 1"))
-    if is_share and ("probability" in meaning or "0 to 1" in meaning or value >= 2) and not 0 <= value <= 1:
+    is_from_0_to_1 = "probability" in meaning or "0 to 1" in meaning
+    # a share of something can be a little above 1; from 2 on it is a percentage
+    may_be_percent = is_from_0_to_1 or ("share" in meaning and value >= 2)
+    if 0 < default < 1 and may_be_percent and not 0 <= value <= 1:
         what = f"{value:g} is not from 0 to 1; the default is {default:g}"
-        problems.add(location, what, f"as percent: {value / 100:g}" if 1 < value <= 100 else "give a number from 0 to 1")
+        remedy = "give a number from 0 to 1"
+        if 1 < value <= 100:
+            remedy = f"as percent: {value / 100:g}"
+        problems.add(location, what, remedy)
         return
     ratio = abs(value / default)
     if value and not 1 / FACTOR_OF_DEFAULT < ratio < FACTOR_OF_DEFAULT:
-        unit = f" ({meaning.strip().split(' ')[0]})" if parameter.name.endswith(("_px", "_m", "_mm", "_deg", "_s")) else ""
+        unit = ""
+        if parameter.name.endswith(("_px", "_m", "_mm", "_deg", "_s")):
+            unit = f" ({meaning.strip().split(' ')[0]})"
         doubts.add(location, f"{value:g} is far from the default, {default:g}{unit}", "check the unit: wbflow stages shows it")

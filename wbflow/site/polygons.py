@@ -13,12 +13,11 @@ Corner = Sequence[float]
 def crossing(polygon: Sequence[Corner]) -> str:
     """Which two sides of a polygon cross each other, in words; "" if none do.  Sides that only touch do not cross."""
     sides = list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
-    for (i, first), (j, second) in itertools.combinations(enumerate(sides), 2):
-        if _cross(*first, *second):
-            return (
-                f"the side from {_shown(first[0])} to {_shown(first[1])} crosses that from {_shown(second[0])} to "
-                f"{_shown(second[1])} (sides {i + 1} and {j + 1})"
-            )
+    numbered = list(enumerate(sides, 1))
+    for (i, (a, b)), (j, (c, d)) in itertools.combinations(numbered, 2):
+        if _cross(a, b, c, d):
+            first = f"the side from {_shown(a)} to {_shown(b)}"
+            return f"{first} crosses that from {_shown(c)} to {_shown(d)} (sides {i} and {j})"
     return ""
 
 
@@ -34,7 +33,10 @@ def diameter(polygon: Sequence[Corner]) -> float:
 
 
 def _cross(a: Corner, b: Corner, c: Corner, d: Corner) -> bool:
-    """Does the segment from a to b cross that from c to d, in a point that is an end of neither?"""
+    """Does the segment from a to b cross that from c to d, in a point that is an end of neither?
+
+    It does if the ends of each lie on different sides of the other.
+    """
     return _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -82,7 +83,9 @@ class _Section:
     @property
     def selector(self) -> str:
         """The key that selects the function: that of the stage's method if it has a choice, else `use`."""
-        return self.stage.method.parameter if self.stage.method and self.use is None else "use"
+        if self.stage.method and self.use is None:
+            return self.stage.method.parameter
+        return "use"
 
     def read(self) -> StageSettings:
         """The settings; faults and notes are added to `problems` and `notes`."""
@@ -93,10 +96,12 @@ class _Section:
             old_names = self._update_renamed()
             binding = bind(self.stage, self.use, self.values, self.reader)
         except FunctionError as error:
-            self._add_problem(self.selector, f"{error.where}: {error.what}" if error.where else error.what, error.remedy or _USE)
+            what = f"{error.where}: {error.what}" if error.where else error.what
+            self._add_problem(self.selector, what, error.remedy or _USE)
             return StageSettings()
         for function in filter(None, (binding.function, binding.method)):
-            if function.dotted.partition(":")[0].partition(".")[0] in sys.stdlib_module_names:
+            package = re.split("[.:]", function.dotted)[0]
+            if package in sys.stdlib_module_names:
                 self._add_problem(self.selector, f"{function.dotted} is in Python's standard library, and not a stage", _USE)
                 return StageSettings()
         for fault in binding.faults():
@@ -104,12 +109,17 @@ class _Section:
         files = self._files(binding)
         elsewhere = self._set_elsewhere()
         for name, value in self.values.items():
-            parameter, written = binding.parameters.get(name), old_names.get(name, name)
+            written = old_names.get(name, name)
+            parameter = binding.parameters.get(name)
             if parameter is None:
-                self._report_unknown(binding, name, written, [known for known in binding.parameters if known not in elsewhere])
-            elif name in elsewhere:
+                allowed = [known for known in binding.parameters if known not in elsewhere]
+                self._report_unknown(binding, name, written, allowed)
+                continue
+            if name in elsewhere:
                 self._add_problem(written, f"{name!r} is not set here", elsewhere[name], key=True)
-            elif wrong := parameter.problem(value):
+                continue
+            wrong = parameter.problem(value)
+            if wrong:
                 self._add_problem(written, wrong, f"the default is {parameter.shown}")
         for name, parameter in binding.parameters.items():
             if parameter.required and name not in self.values and name not in elsewhere:
@@ -118,11 +128,14 @@ class _Section:
 
     def _update_renamed(self) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values; returns the old name by present name."""
-        renamed, removed = RENAMED.get(self.stage.name, {}), REMOVED.get(self.stage.name, frozenset())
+        renamed = RENAMED.get(self.stage.name, {})
+        removed = REMOVED.get(self.stage.name, frozenset())
         if not (renamed.keys() | removed) & self.values.keys():
             return {}
+        # a function of the site's own may have a parameter with an old name: that one is meant then
         known = set(self.reader.signature(self.use or self.stage.function).parameters)
-        known |= {name for of_method in method_parameters(self.stage, self.reader).values() for name in of_method}
+        for parameters in method_parameters(self.stage, self.reader).values():
+            known.update(parameters)
         for old in removed & self.values.keys() - known:
             del self.values[old]
             what = f"{self.stage.name} has no {old!r} any more; it is ignored in this version"
@@ -134,7 +147,9 @@ class _Section:
             if old not in self.values or new not in known or old_is_another_parameter:
                 continue
             old_value = self.values[old]
-            new_value = change.values.get(old_value, old_value) if isinstance(old_value, str) else old_value
+            new_value = old_value
+            if isinstance(old_value, str):
+                new_value = change.values.get(old_value, old_value)
             if (new, new_value) == (old, old_value):
                 continue
             if old != new and new in self.values:
@@ -142,7 +157,11 @@ class _Section:
             del self.values[old]
             self.values[new] = new_value
             old_names[new] = old
-            old_text, new_text = (old, new) if new_value == old_value else (f"{old}: {old_value}", f"{new}: {new_value}")
+            old_text = old
+            new_text = new
+            if new_value != old_value:
+                old_text += f": {old_value}"
+                new_text += f": {new_value}"
             what = f"{old_text!r} is written {new_text!r} now; the old way is still understood in this version"
             self.notes.add(("stages", self.stage.name, old), what, f"write {new_text}", key=True)
         return old_names
@@ -152,7 +171,9 @@ class _Section:
         paths: dict[str, Path] = {}
         function = binding.method or binding.function
         required = {argument.name for argument in function.arguments if argument.required}
-        for name in [name for name, need in binding.inputs.items() if need.kind == "file"]:
+        for name, need in binding.inputs.items():
+            if need.kind != "file":
+                continue
             stated = self.values.pop(name, None)
             if stated is None:
                 if name in required:
@@ -171,7 +192,8 @@ class _Section:
         remedies = {}
         for parameter, site_key in self.stage.set_by_site().items():
             section = site_key.rpartition(".")[0]
-            remedies[parameter] = f"set {parameter} {f'in the section {section}' if section else 'at the top of the file'}"
+            place = f"in the section {section}" if section else "at the top of the file"
+            remedies[parameter] = f"set {parameter} {place}"
         if self.stage.name == FUSE:
             remedies[COMPONENT] = "leave it out: each component is worked on in turn"
         return remedies

@@ -66,7 +66,9 @@ def find_stale(
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
         files = captures[camera.id]
-        earlier = _old_nights(site, camera, date, digests, remembered) if any(file.digest for file in files) else {}
+        earlier = {}
+        if any(file.digest for file in files):
+            earlier = _old_nights(site, camera, date, digests, remembered)
         remembered.note(camera.id, str(date), [file.digest for file in files])
         search = _search_repeats(files, earlier)
         fresh.captures[camera.id] = search.captures
@@ -81,9 +83,12 @@ def find_stale(
             repeated = {}
     for name, files in fresh.captures.items():
         gap = gap_of(site, name, files)
-        if gap is not None:
-            note = f"{gap}; they are merged all the same"
-            fresh.notes[name] = f"{fresh.notes[name]}; {note}" if name in fresh.notes else note
+        if gap is None:
+            continue
+        note = f"{gap}; they are merged all the same"
+        if name in fresh.notes:
+            note = f"{fresh.notes[name]}; {note}"
+        fresh.notes[name] = note
     fresh.stale = {**_find_far_off(site, fresh.captures), **repeated}
     return fresh
 
@@ -120,9 +125,10 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
     readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
     if not readable:
         return _Search(files)
-    # the first file of each content
-    first_of = {file.digest: file for file in reversed(readable)}
-    distinct = [file for file in readable if first_of[file.digest] is file]
+    first_of: dict[str, CaptureFile] = {}  # the first file of each content
+    for file in readable:
+        first_of.setdefault(file.digest, file)
+    distinct = list(first_of.values())
     new = [file for file in distinct if file.digest not in earlier]
     figures = {"captures": len(readable), "different": len(distinct), "earlier": len(distinct) - len(new)}
     if not new:
@@ -156,14 +162,14 @@ def _find_far_off(site: Site, captures: Mapping[str, list[CaptureFile]]) -> dict
     for camera, files in captures.items():
         moments = _moments(site, camera, files)
         if moments:
-            hours[camera] = _median_hour([m.hour + m.minute / 60 + m.second / 3600 for m in moments])
+            hours[camera] = _median_hour([_hour_of(moment) for moment in moments])
     # of two cameras that differ, either may be wrong
     if len(hours) < 3:
         return {}
     healths = {}
-    usual = _median_hour(list(hours.values()))
+    typical_hour = _median_hour(list(hours.values()))
     for camera, camera_hour in hours.items():
-        lag = _hour_difference(camera_hour, usual)
+        lag = _hour_difference(camera_hour, typical_hour)
         if abs(lag) > FAR_OFF_HOURS:
             direction = "after" if lag > 0 else "before"
             text = f"its captures were taken {abs(lag):.1f} hours {direction} those of the other cameras"
@@ -179,6 +185,10 @@ def _moments(site: Site, camera: str, files: Iterable[CaptureFile]) -> list[date
         if moment is not None:
             moments.append(moment)
     return moments
+
+
+def _hour_of(moment: datetime.datetime) -> float:
+    return moment.hour + moment.minute / 60 + moment.second / 3600
 
 
 def _hour_difference(hour: float, other: float) -> float:
@@ -200,14 +210,19 @@ def night_by_pictures(frames: Iterable[FrameFigures]) -> str:
 
     Used if names contain no date: then old photographs are not stale, only those that differ from the majority.
     """
-    last_times = [times[-1] for times in map(_capture_times, frames) if times]
+    last_times = []
+    for frame in frames:
+        times = _capture_times(frame)
+        if times:
+            last_times.append(times[-1])
     if not last_times:
         return ""
     last_times.sort()
     median = last_times[len(last_times) // 2]
     of_that_night = [moment for moment in last_times if abs(_in_hours(moment - median)) <= NIGHT_HOURS]
-    is_majority = 2 * len(of_that_night) > len(last_times)
-    return str(median.date()) if is_majority else ""
+    if 2 * len(of_that_night) <= len(last_times):
+        return ""
+    return str(median.date())
 
 
 def stale_by_image(frame: FrameFigures, night: str, in_order: bool) -> Health | None:

@@ -54,8 +54,13 @@ class Problem:
         return ":".join(str(part) for part in (self.file, self.line, self.column) if part)
 
     def __str__(self) -> str:
-        head = f"{self.mark}: {self.where}: {self.what}" if self.where else f"{self.mark}: {self.what}"
-        return printable(f"{head}\n  {self.remedy}" if self.remedy else head, 4 * LONGEST)
+        text = f"{self.mark}: "
+        if self.where:
+            text += f"{self.where}: "
+        text += self.what
+        if self.remedy:
+            text += f"\n  {self.remedy}"
+        return printable(text, 4 * LONGEST)
 
 
 class SiteError(WbflowError, ValueError):
@@ -130,7 +135,9 @@ def resolve_path(path: str, location: Location, problems: Problems) -> Path:
 def suggest(word: str, known: Iterable[str], otherwise: str) -> str:
     """A remedy that suggests the known word most similar to `word`, or `otherwise` if none is similar."""
     matches = difflib.get_close_matches(word, known, 1)
-    return f"did you mean {printable(matches[0])!r}?" if matches else otherwise
+    if not matches:
+        return otherwise
+    return f"did you mean {printable(matches[0])!r}?"
 
 
 def similar(path: Path) -> str:
@@ -174,8 +181,10 @@ def parse_yaml(text: str, path: Path) -> Document:
         data = loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        if slip := _slip_before(text, line):
+        line = mark.line + 1 if mark else 1
+        column = mark.column + 1 if mark else 1
+        slip = _slip_before(text, line)
+        if slip:
             raise SiteError(replace(slip, file=path)) from None
         what = f"not valid YAML: {printable(error.problem)}"
         raise SiteError(Problem(path, what, _remedy_at(text, line), line, column)) from None
@@ -201,7 +210,10 @@ def _slip_before(text: str, line: int) -> Problem | None:
         match = re.match(r"(\s*(?:- )?)([A-Za-z_]\w*)(:|\s*=\s*)([^\s/=:].*)$", lines[number - 1])
         if match:
             before, key, sign, value = match.groups()
-            what = f"there is no space after the colon of {key!r}" if sign == ":" else f"{key!r} is followed by '=', not a colon"
+            if sign == ":":
+                what = f"there is no space after the colon of {key!r}"
+            else:
+                what = f"{key!r} is followed by '=', not a colon"
             return Problem(Path(), what, f"write {key}: {printable(value, 80)}", number, len(before) + 1)
     return None
 
@@ -210,10 +222,13 @@ def _remedy_at(text: str, line: int) -> str:
     """A remedy for invalid YAML near a line, from the most frequent mistakes."""
     lines = text.splitlines()
     nearby = lines[max(0, line - 2) : line]
-    if any("\t" in text_line[: len(text_line) - len(text_line.lstrip())] for text_line in nearby):
-        return "indent with spaces: YAML allows no tabs there"
-    if any(re.search(r"[:\[,-]\s+\{(camera|date|time)\b", text_line) for text_line in nearby):
-        return "put what has {camera} or {date} in it in quotes: pattern: '{camera}.jpg'"
+    for nearby_line in nearby:
+        indentation = nearby_line[: len(nearby_line) - len(nearby_line.lstrip())]
+        if "\t" in indentation:
+            return "indent with spaces: YAML allows no tabs there"
+    for nearby_line in nearby:
+        if re.search(r"[:\[,-]\s+\{(camera|date|time)\b", nearby_line):
+            return "put what has {camera} or {date} in it in quotes: pattern: '{camera}.jpg'"
     return "check indentation, colons and quotes around this place"
 
 
@@ -232,7 +247,9 @@ class _CheckingLoader(Loader):
 
 
 def _excerpt(node: Any) -> str:
-    return printable(node.value if isinstance(node, yaml.ScalarNode) else "this", 40)
+    """The value of a node as it is written, shortened; "this" for a mapping or a list."""
+    text = node.value if isinstance(node, yaml.ScalarNode) else "this"
+    return printable(text, 40)
 
 
 def _refuse_bombs(text: str) -> None:
@@ -249,11 +266,15 @@ def _refuse_bombs(text: str) -> None:
 
 
 def _check_events(loader: Any) -> None:
+    """Count nesting and values from the events of a parser.  Raises YAMLError."""
     open_collections: list[Any] = []
     counts = [0]  # number of values in the document, and in each open collection
     sizes: dict[str | None, int] = {}  # number of values that an alias stands for, by anchor
     try:
-        while (event := loader.get_event()) is not None:
+        while True:
+            event = loader.get_event()
+            if event is None:
+                return
             if isinstance(event, CollectionStartEvent):
                 open_collections.append(event)
                 counts.append(1)
@@ -261,16 +282,17 @@ def _check_events(loader: Any) -> None:
                     what = f"values are nested more than {_MOST_LEVELS} levels deep"
                     raise ConstructorError(None, None, what, open_collections[-1].start_mark)
             elif isinstance(event, CollectionEndEvent):
-                start, size = open_collections.pop(), counts.pop()
+                start = open_collections.pop()
+                size = counts.pop()
                 if size > _MOST_VALUES:
                     what = f"aliases that stand for more than {_MOST_VALUES:,} values"
                     raise ConstructorError(None, None, what, start.start_mark)
                 sizes[start.anchor] = size
                 counts[-1] += size
             elif isinstance(event, AliasEvent):
-                around = next((start for start in open_collections if start.anchor == event.anchor), None)
-                if around:
-                    raise ConstructorError(None, None, "an alias that contains itself", around.start_mark)
+                for start in open_collections:
+                    if start.anchor == event.anchor:
+                        raise ConstructorError(None, None, "an alias that contains itself", start.start_mark)
                 counts[-1] += sizes.get(event.anchor, 1)
             elif isinstance(event, ScalarEvent):
                 counts[-1] += 1

@@ -86,21 +86,27 @@ def find_cameras(cameras: Mapping[str, Calibrated], camera: str) -> dict[str, Ca
 def only_camera(cameras: Mapping[str, Calibrated]) -> Calibrated | None:
     """The camera of a calibration that holds one only, under whatever names; None if it holds several."""
     distinct = {id(entry): entry for entry in cameras.values()}
-    return next(iter(distinct.values())) if len(distinct) == 1 else None
+    if len(distinct) != 1:
+        return None
+    return next(iter(distinct.values()))
 
 
 def _read_folder(folder: Path) -> dict[str, Calibrated]:
+    """The cameras of a COLMAP model, or of a folder with one file per camera.  Raises SiteError."""
     if is_colmap(folder):
         return read_colmap(folder)
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and is_file(file))
-    files = [file for file in files if not file.name.startswith(".")]
+    files = []
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() in _SUFFIXES and not file.name.startswith(".") and is_file(file):
+            files.append(file)
     if not files:
         return read_colmap(folder)  # it reports what is missing
     cameras: dict[str, Calibrated] = {}
     file_of: dict[str, Path] = {}
     for file in files:
         entries = read_calibration(file)
-        if (camera := only_camera(entries)) is not None:
+        camera = only_camera(entries)
+        if camera is not None:
             # a file with one camera has the camera's name; a name inside it comes from the calibration program
             entries = dict.fromkeys((file.stem, _PROGRAM_WORDS.sub("", file.stem) or file.stem), camera)
         for name, entry in entries.items():
@@ -113,6 +119,7 @@ def _read_folder(folder: Path) -> dict[str, Calibrated]:
 
 
 def _read_json(path: Path, text: str) -> dict[str, Calibrated]:
+    """The cameras of a JSON file.  Raises SiteError."""
     try:
         data = json.loads(text, object_pairs_hook=_without_repeats)
         return _cameras_in(data, path.stem)
@@ -144,6 +151,7 @@ def _problem_in_json(path: Path, text: str, fault: Faulty) -> Problem:
 
 
 def _read_xml(path: Path, text: str) -> dict[str, Calibrated]:
+    """The cameras of an XML file, of Metashape or OpenCV.  Raises SiteError."""
     try:
         root = parse_xml(text)
         if is_metashape(root):
@@ -161,14 +169,20 @@ def _read_xml(path: Path, text: str) -> dict[str, Calibrated]:
 
 def _line_of(fault: Faulty) -> int:
     """The line of a fault whose location is a line; 0 if it has none."""
-    return next((step for step in fault.location if isinstance(step, int)), 0)
+    for step in fault.location:
+        if isinstance(step, int):
+            return step
+    return 0
 
 
 def _line_of_key(root: Any, location: Location) -> int:
     """The line of the element that a location in OpenCV's storage leads to, or of the nearest one around it."""
     element = root
     for step in location:
-        inner = element.children[step] if isinstance(step, int) and step < len(element.children) else element.find(str(step))
+        if isinstance(step, int) and step < len(element.children):
+            inner = element.children[step]
+        else:
+            inner = element.find(str(step))
         if inner is None:
             break
         element = inner
@@ -209,7 +223,9 @@ def _cameras_in(data: Any, stem: str) -> dict[str, Calibrated]:
     cameras = data.get("cameras")
     if isinstance(cameras, list | dict) and not is_camera(cameras):
         _refuse_other_values({key: value for key, value in data.items() if key != "cameras"}, ())
-        return _listed_cameras(cameras, ("cameras",)) if isinstance(cameras, list) else _named_cameras(cameras, ("cameras",))
+        if isinstance(cameras, list):
+            return _listed_cameras(cameras, ("cameras",))
+        return _named_cameras(cameras, ("cameras",))
     return _named_cameras(data, ())
 
 
@@ -223,24 +239,38 @@ def _listed_cameras(entries: list[Any], location: Location) -> dict[str, Calibra
         if not isinstance(data, dict) or not is_camera(data):
             raise Faulty(f"{_dotted(place)} must hold a name, K, width and height", place, _OWN_REMEDY)
         entry = Entry(data, place, _dotted(place))
-        stated = [data[key] for key in _NAME_KEYS if isinstance(data.get(key), str | int) and str(data[key])]
-        if not stated or str(stated[0]) in cameras:
+        name = _stated_name(data)
+        if not name or name in cameras:
             remedy = "give each camera its id, as in the site file: name: gate"
-            raise Faulty(f"{_dotted(place)} has {'the name of another' if stated else 'no name'}", place, remedy)
+            raise Faulty(f"{_dotted(place)} has {'the name of another' if name else 'no name'}", place, remedy)
         entry.ignore(*_NAME_KEYS)
-        cameras[str(stated[0])] = read_camera(entry)
+        cameras[name] = read_camera(entry)
     if not cameras:
         raise Faulty("holds no camera; must map image names to K, width and height", location, _OWN_REMEDY)
     return cameras
 
 
+def _stated_name(data: dict[str, Any]) -> str:
+    """The name or number of a camera in a list; "" if it has none."""
+    for key in _NAME_KEYS:
+        if isinstance(data.get(key), str | int) and str(data[key]):
+            return str(data[key])
+    return ""
+
+
 def _named_cameras(entries: dict[str, Any], location: Location) -> dict[str, Calibrated]:
     """The cameras of a mapping from names."""
-    mappings = {str(name): value for name, value in entries.items() if isinstance(value, dict)}
+    mappings: dict[str, dict[str, Any]] = {}
+    others: dict[str, Any] = {}
+    for name, value in entries.items():
+        if isinstance(value, dict):
+            mappings[str(name)] = value
+        else:
+            others[str(name)] = value
     if entries and not any(is_camera(value) for value in mappings.values()) and not _may_be_cameras(mappings):
         what = "holds no calibration: no camera matrix (K, camera_matrix), and no layout of a program that is known"
         raise Faulty(what, location, _OWN_REMEDY)
-    _refuse_other_values({str(name): value for name, value in entries.items() if str(name) not in mappings}, location)
+    _refuse_other_values(others, location)
     return {name: read_camera(Entry(value, (*location, name), name)) for name, value in mappings.items()}
 
 
@@ -257,4 +287,7 @@ def _refuse_other_values(values: dict[str, Any], location: Location) -> None:
 
 
 def _dotted(location: Location) -> str:
-    return ".".join(map(str, location)) if len(location) > 1 else f"number {location[0]}"
+    """What a message calls a camera of a list: cameras.3, or number 3."""
+    if len(location) > 1:
+        return ".".join(map(str, location))
+    return f"number {location[0]}"

@@ -99,14 +99,18 @@ class Calibrated(BaseModel):
     @field_validator("R")
     @classmethod
     def _check_rotation(cls, R: Matrix | None) -> Matrix | None:
-        if R and (fault := rotation_fault(R)):
+        fault = rotation_fault(R) if R else ""
+        if fault:
             raise ValueError(fault)
         return R
 
     @field_validator("distortion")
     @classmethod
     def _check_distortion(cls, distortion: list[float] | None, info: ValidationInfo) -> list[float] | None:
-        if "model" in info.data and (fault := lens_fault(info.data["model"], distortion)):
+        if "model" not in info.data:
+            return distortion  # the model has a fault of its own
+        fault = lens_fault(info.data["model"], distortion)
+        if fault:
             raise ValueError(f"does not fit: {fault}")
         return distortion
 
@@ -122,13 +126,16 @@ class Calibrated(BaseModel):
     def lens(self) -> Lens:
         """The camera's lens; coefficients missing from a short "brown" list are 0."""
         coefficients = self.distortion or []
-        padded = coefficients + [0.0] * (5 - len(coefficients)) if self.model == "brown" or not coefficients else coefficients
-        return Lens(K=self.K, distortion=padded, width=self.width, height=self.height, model=self.model)
+        if self.model == "brown" or not coefficients:
+            coefficients = coefficients + [0.0] * (5 - len(coefficients))
+        return Lens(K=self.K, distortion=coefficients, width=self.width, height=self.height, model=self.model)
 
     @property
     def placement(self) -> Placement:
-        sigmas = float(self.position_sigma_m or 0), float(self.rotation_sigma_deg or 0)
-        return Placement(self.R, self.C, *sigmas, metric=self.metric is not False)
+        """The camera's pose; an uncertainty that is not stated is 0, which means exact."""
+        sigma_m = float(self.position_sigma_m or 0)
+        sigma_deg = float(self.rotation_sigma_deg or 0)
+        return Placement(self.R, self.C, sigma_m, sigma_deg, metric=self.metric is not False)
 
 
 REMEDY = "give the file that OpenCV, ROS, Kalibr, COLMAP, Metashape, Pix4D or wbflow wrote; see sites/README.md"
@@ -139,7 +146,9 @@ class Faulty(ValueError):
 
     def __init__(self, what: str, location: Location = (), remedy: str = REMEDY) -> None:
         super().__init__(what)
-        self.what, self.location, self.remedy = what, location, remedy
+        self.what = what
+        self.location = location
+        self.remedy = remedy
 
 
 def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None, location: Location = ()) -> Calibrated:
@@ -166,6 +175,7 @@ def look_at(position: Vector, target: Vector) -> Matrix:
     Raises ValueError if the two points coincide, or if the camera would look straight up or down (its roll would be undefined).
     """
     forward = _unit([t - p for t, p in zip(target, position, strict=True)])
+    # right and down from world up (0, 0, 1): the camera is upright
     right = _cross(forward, [0.0, 0.0, 1.0])
     if math.hypot(*right) < 1e-6:
         raise ValueError("looks straight up or down, so which way is up in the image is unknown: give a rotation instead")
@@ -175,20 +185,28 @@ def look_at(position: Vector, target: Vector) -> Matrix:
 
 def yaw_pitch_roll(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Matrix:
     """R from angles: yaw 0 looks along +y, 90 along +x; pitch up is positive; roll is clockwise seen from behind the camera."""
-    yaw, pitch, roll = (math.radians(v) for v in (yaw_deg, pitch_deg, roll_deg))
+    yaw = math.radians(yaw_deg)
+    pitch = math.radians(pitch_deg)
+    roll = math.radians(roll_deg)
     forward = [math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)]
-    level = [math.cos(yaw), -math.sin(yaw), 0.0]
+    level = [math.cos(yaw), -math.sin(yaw), 0.0]  # to the right without roll
     down = _cross(forward, level)
     right = [math.cos(roll) * a + math.sin(roll) * b for a, b in zip(level, down, strict=True)]
     return [right, _cross(forward, right), forward]
 
 
+_ROTATION_TOLERANCE = 1e-3
+"""How far the products of the rows of a rotation may be from 0 and 1: files have as few as four digits."""
+
+
 def rotation_fault(R: Matrix) -> str:
     """What is wrong with a rotation matrix; "" if nothing is."""
-    dots = [sum(a * b for a, b in zip(R[i], R[j], strict=True)) - (i == j) for i in range(3) for j in range(3)]
-    if not max(map(abs, dots)) < 1e-3:
-        return "is not a rotation matrix (rows of unit length, at right angles)"
-    if sum(a * b for a, b in zip(_cross(R[0], R[1]), R[2], strict=True)) < 0:
+    for i in range(3):
+        for j in range(3):
+            expected = 1.0 if i == j else 0.0
+            if not abs(_dot(R[i], R[j]) - expected) < _ROTATION_TOLERANCE:  # or NaN
+                return "is not a rotation matrix (rows of unit length, at right angles)"
+    if _dot(_cross(R[0], R[1]), R[2]) < 0:
         return "is a mirror, not a rotation (its determinant is -1)"
     return ""
 
@@ -199,7 +217,10 @@ def quaternion_rotation(quaternion: Sequence[float]) -> Matrix:
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < length < 1e6:
         raise ValueError("its quaternion is zero or infinite, which is not a rotation")
-    w, x, y, z = w / length, x / length, y / length, z / length
+    w /= length
+    x /= length
+    y /= length
+    z /= length
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -208,14 +229,18 @@ def quaternion_rotation(quaternion: Sequence[float]) -> Matrix:
 
 
 def centre(R: Matrix, t: Vector) -> Vector:
-    """The centre of the camera x = R X + t."""
+    """The centre of the camera x = R X + t: C = -R^T t."""
     return [-sum(R[j][i] * t[j] for j in range(3)) for i in range(3)]
 
 
 def product(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> Matrix:
     """The product of two matrices."""
     columns = list(zip(*B, strict=True))
-    return [[sum(a * b for a, b in zip(row, column, strict=True)) for column in columns] for row in A]
+    return [[_dot(row, column) for column in columns] for row in A]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

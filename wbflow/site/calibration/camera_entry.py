@@ -67,17 +67,16 @@ def read_camera(entry: Entry, needs_distortion: bool = False) -> Calibrated:
     fields: dict[str, Any] = {"K": K, **size, "model": model, **pose}
     if distortion is not None:
         fields["distortion"] = distortion
-    for name in ("position_sigma_m", "rotation_sigma_deg"):
-        if (key := entry.key((name,))) is not None:
+    for name in ("position_sigma_m", "rotation_sigma_deg", "metric"):
+        key = entry.key((name,))
+        if key is not None:
             fields[name] = entry[key]
-    metric_key = entry.key(("metric",))
-    if metric_key is not None:
-        fields["metric"] = entry[metric_key]
     entry.finish(_KNOWN_KEYS, _REMEDY)
     return calibrated(fields, {"K": matrix_key, "distortion": distortion_key}, entry.location)
 
 
 def _refuse_other_units(entry: Entry) -> None:
+    """Refuse a camera whose lengths are stated to be in another unit than metres."""
     key = entry.key(("unit", "units", "length_unit"))
     if key is not None and text_of(entry[key]).lower() not in {"m", "metre", "metres", "meter", "meters"}:
         raise entry.fault(key, f"is {entry[key]}, and lengths are metres here", "write positions in metres, and remove it")
@@ -89,6 +88,7 @@ def _is_camera_info(entry: Entry) -> bool:
 
 
 def _refuse_binning(entry: Entry) -> None:
+    """Refuse a ROS camera that joins pixels: its calibration is of the whole sensor, its pictures are smaller."""
     for name in ("binning_x", "binning_y"):
         key = entry.key((name,))
         if key is not None and entry[key] not in (0, 1):
@@ -97,7 +97,8 @@ def _refuse_binning(entry: Entry) -> None:
 
 def _camera_matrix(entry: Entry) -> tuple[str, Matrix]:
     """The camera matrix (rows as given; checked later) and its key, from a matrix or from focal lengths and centre."""
-    matrix_key, focal_key = entry.key(MATRIX_KEYS), entry.key(FOCAL_KEYS)
+    matrix_key = entry.key(MATRIX_KEYS)
+    focal_key = entry.key(FOCAL_KEYS)
     if matrix_key is not None and focal_key is not None:
         raise entry.fault(focal_key, f"and {matrix_key} are both given", "keep one of them")
     if matrix_key is not None:
@@ -108,9 +109,8 @@ def _camera_matrix(entry: Entry) -> tuple[str, Matrix]:
     if focal_key is None:
         remedy = "add the camera matrix, K: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], in pixels"
         raise Faulty(f"{entry.name} lacks K".lstrip(), entry.location, remedy)
-    names = (FOCAL_KEYS, _FOCAL_Y_KEYS, _CENTRE_X_KEYS, _CENTRE_Y_KEYS)
     values = []
-    for alternatives in names:
+    for alternatives in (FOCAL_KEYS, _FOCAL_Y_KEYS, _CENTRE_X_KEYS, _CENTRE_Y_KEYS):
         key = entry.key(alternatives)
         if key is None:
             what = f"{entry.name} lacks {alternatives[0]}".lstrip()
@@ -152,15 +152,19 @@ def _distortion(entry: Entry) -> tuple[str, str, list[float] | None]:
         coefficients, model = _in_order(entry, by_name, model)
     xi_key = entry.key(("xi",))
     if xi_key is not None:  # files of cv2.omnidir have xi in addition to k1 k2 p1 p2
-        model, coefficients = "omni", numbers_of(entry, xi_key) + (coefficients or [])
+        model = "omni"
+        coefficients = numbers_of(entry, xi_key) + (coefficients or [])
     return model, key or "distortion", coefficients
 
 
 def _coefficients(entry: Entry, key: str) -> list[float]:
+    """The coefficients that a key has as a list or a matrix.  Raises Faulty."""
     value = entry[key]
     if not isinstance(value, list | dict):
         raise entry.fault(key, "must be a list of numbers")
-    return [] if value == [] else numbers_of(entry, key)
+    if value == []:
+        return []
+    return numbers_of(entry, key)
 
 
 def _separate_coefficients(entry: Entry) -> tuple[str, dict[str, float]] | None:
@@ -181,9 +185,11 @@ def _separate_coefficients(entry: Entry) -> tuple[str, dict[str, float]] | None:
             numbers = numbers_of(entry, key)
             if by_name.keys() & set(names) or len(numbers) > len(names):
                 raise entry.fault(key, f"must be {', '.join(names)}, and stand alone")
-            by_name |= dict(zip(names, numbers, strict=False))
+            by_name |= dict(zip(names, numbers, strict=False))  # fewer than all: the others are 0
             first_key = first_key or key
-    return (first_key, by_name) if by_name else None
+    if not by_name:
+        return None
+    return first_key, by_name
 
 
 def _in_order(entry: Entry, by_name: dict[str, float], model: str) -> tuple[list[float], str]:
@@ -196,7 +202,8 @@ def _in_order(entry: Entry, by_name: dict[str, float], model: str) -> tuple[list
             # k4 alone: the fourth of a fisheye, or of a longer polynomial, which OpenCV does not have
             remedy = "add distortion_model: fisheye, or give k1 to k6, p1 and p2 of a rational lens"
             raise entry.fault(entry.key(("k4", "k5", "k6")) or "k4", "does not say which lens model it is of", remedy)
-        model, names = "rational", _COEFFICIENT_KEYS
+        model = "rational"
+        names = _COEFFICIENT_KEYS
     else:
         names = _COEFFICIENT_KEYS[:5]
     surplus = [name for name, value in by_name.items() if name not in names and value]
@@ -224,7 +231,9 @@ def _lens_model(entry: Entry, distortion_key: str | None, count: int) -> str:
             raise entry.fault(other, f"is {entry[other]}, but {first} is {entry[first]}", "keep the right one of them")
     flags = text_of(entry.value("flags")).lower()
     is_fisheye = bool(entry.value("fisheye_model", "is_fisheye", "fisheye")) or "fisheye" in flags
-    model = stated.get(first) or ("fisheye" if is_fisheye else "brown")
+    model = stated.get(first, "")
+    if not model:
+        model = "fisheye" if is_fisheye else "brown"
     # OpenCV and ROS give no other name to a lens with a denominator; in wbflow's own files, such a lens may be called brown
     is_own = first == "model" or (not stated and distortion_key == "distortion")
     if model == "brown" and count >= 8 and not is_own:

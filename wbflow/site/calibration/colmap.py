@@ -56,9 +56,12 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
     camera_file = folder / f"cameras.{suffix}"
     image_file = folder / f"images.{suffix}"
     if suffix == "txt":
-        cameras, images = _text_cameras(camera_file), _text_images(image_file)
+        cameras = _text_cameras(camera_file)
+        images = _text_images(image_file)
     else:
-        cameras, images = _binary_cameras(camera_file), _binary_images(image_file)
+        cameras = _binary_cameras(camera_file)
+        images = _binary_images(image_file)
+    # 1. the lenses: images share them
     lenses: dict[str, dict[str, Any]] = {}
     for camera in cameras:
         if camera.id in lenses:
@@ -67,8 +70,9 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             lenses[camera.id] = _lens(camera)
             calibrated(lenses[camera.id])
         except (IndexError, ValueError) as error:
-            reason = "it lacks numbers" if isinstance(error, IndexError) else error
+            reason = "it lacks numbers" if isinstance(error, IndexError) else str(error)
             raise _refused(camera_file, f"{camera.label}{reason}", camera.line) from None
+    # 2. the images, each with a pose and the lens of its camera
     by_image: dict[str, Calibrated] = {}
     for image in images:
         if image.name in by_image:
@@ -125,13 +129,15 @@ def _refused(path: Path, what: str, line: int = 0) -> SiteError:
 
 
 def _text_cameras(path: Path) -> Iterator[_Camera]:
+    """The cameras of a text model.  Raises SiteError."""
     for line, text in _lines(path):
-        if text.strip():
-            try:
-                number, model, width, height, *parameters = text.split()
-                yield _Camera(line, "", number, model, int(width), int(height), [*map(float, parameters)])
-            except ValueError:
-                raise _refused(path, "not a camera line of COLMAP's text model", line) from None
+        if not text.strip():
+            continue
+        try:
+            number, model, width, height, *parameters = text.split()
+            yield _Camera(line, "", number, model, int(width), int(height), [*map(float, parameters)])
+        except ValueError:
+            raise _refused(path, "not a camera line of COLMAP's text model", line) from None
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
@@ -171,20 +177,31 @@ def _is_points_line(text: str) -> bool:
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """The lines of a file that are not comments, with their numbers."""
-    return ((number, line) for number, line in enumerate(read_text(path).splitlines(), 1) if not line.startswith("#"))
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        if not line.startswith("#"):
+            yield number, line
 
 
 def _binary_cameras(path: Path) -> Iterator[_Camera]:
+    """The cameras of a binary model.  Raises SiteError.
+
+    How many parameters a camera has follows from its model: with an unknown one, nothing after it can be read.
+    """
     file = _Binary(path)
     for _ in range(file.values("<Q")[0]):
         number, model, width, height = file.values("<IiQQ")
-        name = list(_LAYOUTS)[model] if 0 <= model < len(_LAYOUTS) else f"number {model}"
-        _, focals, count = _LAYOUTS.get(name, ("", 0, -2))
-        parameters = list(file.values(f"<{focals + 2 + count}d"))
+        name = f"number {model}"  # `_lens` refuses it
+        parameter_count = 0
+        if 0 <= model < len(_LAYOUTS):
+            name = list(_LAYOUTS)[model]
+            _, focals, coefficients = _LAYOUTS[name]
+            parameter_count = focals + 2 + coefficients
+        parameters = list(file.values(f"<{parameter_count}d"))
         yield _Camera(0, f"camera {number}: ", str(number), name, width, height, parameters)
 
 
 def _binary_images(path: Path) -> Iterator[_Image]:
+    """The images of a binary model.  Raises SiteError."""
     file = _Binary(path)
     for _ in range(file.values("<Q")[0]):
         number, *pose, camera = file.values("<I7dI")
@@ -197,7 +214,9 @@ class _Binary:
     """Reads a file of COLMAP's binary model: little-endian numbers, each list preceded by its length."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.at = path, 0
+        self.path = path
+        self.at = 0
+        """Position of the next byte to read."""
         try:
             self.data = read_untrusted(path)
         except Unreadable as error:
@@ -211,8 +230,11 @@ class _Binary:
 
     def text(self) -> str:
         """The text up to the next zero byte."""
-        start, end = self.at, self.data.find(b"\0", self.at)
-        self.skip(end + 1 - start if end >= 0 else len(self.data))
+        start = self.at
+        end = self.data.find(b"\0", start)
+        if end < 0:
+            end = len(self.data)  # `skip` refuses it
+        self.skip(end + 1 - start)
         return self.data[start:end].decode(errors="surrogateescape")
 
     def skip(self, count: int) -> None:
@@ -227,16 +249,23 @@ def _lens(camera: _Camera) -> dict[str, Any]:
     if camera.model not in _LAYOUTS:
         raise ValueError(f"camera model {camera.model} is not supported; use one of {', '.join(_LAYOUTS)}")
     model, focals, count = _LAYOUTS[camera.model]
-    width, height, parameters = camera.width, camera.height, camera.parameters
+    width = camera.width
+    height = camera.height
+    parameters = camera.parameters
     if model == "equirectangular":
+        # it has no parameters: the picture covers 360 x 180 degrees, so a pixel is a fixed angle
         parameters = [width / (2 * math.pi), height / math.pi, width / 2, height / 2]
         focals = 2
-    fx, fy, cx, cy = parameters[0], parameters[focals - 1], parameters[focals], parameters[focals + 1]
+    fx = parameters[0]
+    fy = parameters[focals - 1]  # one focal length serves both axes
+    cx = parameters[focals]
+    cy = parameters[focals + 1]
     if min(fx, fy) <= 0:
         raise ValueError("a focal length must be positive")
     K = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
     coefficients = [parameters[focals + 2 + i] for i in range(count)]
     if model == "fisheye":  # coefficients that COLMAP's model lacks are 0
         coefficients += [0.0] * (4 - count)
-    model = "brown" if model == "pinhole" else model
+    if model == "pinhole":
+        model = "brown"  # with coefficients of 0
     return {"K": K, "width": width, "height": height, "distortion": coefficients, "model": model}

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...errors import Location
 from ..yaml_document import suggest
-from .calibrated import Faulty
+from .calibrated import REMEDY, Faulty
 
 IRRELEVANT = frozenset(
     {
@@ -26,20 +26,8 @@ IRRELEVANT = frozenset(
         ),
         *("date", "time", "calibrationtime", "calibrationdate", "timestamp", "created", "manufacturer", "serial", "serialnumber"),
         # names of the camera and its pictures beside the one that the entry is filed under
-        *(
-            "id",
-            "name",
-            "cameraname",
-            "cameraid",
-            "imgname",
-            "imagename",
-            "filename",
-            "filepath",
-            "label",
-            "type",
-            "panel",
-            "node",
-        ),
+        *("id", "name", "cameraname", "cameraid", "imgname", "imagename", "filename", "filepath", "label", "type"),
+        *("panel", "node"),
         # how well the calibration fits
         *("rms", "rmserror", "error", "residualspx", "covered", "reprojectionerror", "reprojerr", "avgreprojectionerror"),
         *("meanreprojectionerror", "perviewreprojectionerrors", "perviewerrors", "stddeviations", "stddeviationsintrinsics"),
@@ -78,18 +66,25 @@ class Entry:
         All such keys count as read.  Raises Faulty if there are two with different values.
         """
         wanted = {plain(name) for name in names}
-        found = [key for key in self._values if plain(key) in wanted]
-        self._unread.difference_update(found)
-        stated = [key for key in found if self._values[key] is not None]
-        for other in stated[1:]:
-            if self._values[other] != self._values[stated[0]]:
-                raise self.fault(other, f"differs from {stated[0]}, which says the same thing", "keep the right one of them")
-        return stated[0] if stated else None
+        first = None
+        for key, value in self._values.items():
+            if plain(key) not in wanted:
+                continue
+            self._unread.discard(key)
+            if value is None:
+                continue
+            if first is None:
+                first = key
+            elif value != self._values[first]:
+                raise self.fault(key, f"differs from {first}, which says the same thing", "keep the right one of them")
+        return first
 
     def value(self, *names: str) -> Any:
         """The value of the key that is one of these names; None if there is none.  Raises Faulty, as `key` does."""
         key = self.key(names)
-        return None if key is None else self._values[key]
+        if key is None:
+            return None
+        return self._values[key]
 
     def __getitem__(self, key: str) -> Any:
         """The value of a key as it is spelt in the file."""
@@ -134,5 +129,4 @@ class Entry:
     def fault(self, key: str, what: str, remedy: str = "") -> Faulty:
         """The fault of a key: `gate.K must be 3x3 numbers`."""
         full_name = f"{self.name}.{key}" if self.name else key
-        location = (*self.location, key)
-        return Faulty(f"{full_name} {what}", location, remedy) if remedy else Faulty(f"{full_name} {what}", location)
+        return Faulty(f"{full_name} {what}", (*self.location, key), remedy or REMEDY)

@@ -25,7 +25,10 @@ _REMEDY = (
 
 def is_chain(data: dict[str, Any]) -> bool:
     """Is this the content of a camchain file?"""
-    return any(isinstance(entry, dict) and "camera_model" in entry and "intrinsics" in entry for entry in data.values())
+    for entry in data.values():
+        if isinstance(entry, dict) and "camera_model" in entry and "intrinsics" in entry:
+            return True
+    return False
 
 
 def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
@@ -45,7 +48,9 @@ def read_chain(data: dict[str, Any]) -> dict[str, Calibrated]:
             raise entry.fault("T_cn_cnm1", "is relative to a camera before the first", "give the whole chain, or leave it out")
         if not is_first and R is not None:
             R, t = _next_pose(entry, R, t)
-        pose = {"R": R, "C": centre(R, t)} if R and len(data) > 1 else {}
+        pose = {}
+        if R and len(data) > 1:  # a single camera has no pose
+            pose = {"R": R, "C": centre(R, t)}
         topic = text_of(entry.value("rostopic")).strip("/")
         camera = _camera(entry, pose)
         cameras[str(name)] = camera
@@ -62,35 +67,47 @@ def _next_pose(entry: Entry, R: Matrix, t: Vector) -> tuple[Matrix | None, Vecto
             raise entry.fault("T_cam_imu", what, "give the camchain with T_cn_cnm1, or leave T_cam_imu out")
         return None, t
     rotation, translation = rigid_matrix(entry, "T_cn_cnm1")
+    # x_n = rotation (R X + t) + translation
     turned = [sum(row[k] * t[k] for k in range(3)) for row in rotation]
     return product(rotation, R), [a + b for a, b in zip(turned, translation, strict=True)]
 
 
 def _camera(entry: Entry, pose: dict[str, Any]) -> Calibrated:
-    name = entry.name
+    """A camera of a chain.  pose: its R and C, if known.  Raises Faulty."""
+    # 1. projection and intrinsics
     projection = text_of(entry.value("camera_model")).lower()
     if projection not in _PROJECTIONS:
         raise entry.fault("camera_model", f"must be one of {', '.join(_PROJECTIONS)}")
     lens_model, offset = _PROJECTIONS[projection]
+    intrinsics: list[float] = []
     intrinsics_key = entry.key(("intrinsics",))
-    intrinsics = [] if intrinsics_key is None else numbers_of(entry, intrinsics_key)
+    if intrinsics_key is not None:
+        intrinsics = numbers_of(entry, intrinsics_key)
     if len(intrinsics) != offset + 4:
         raise entry.fault("intrinsics", f"of a {projection} camera has {offset + 4} numbers, not {len(intrinsics)}")
+    # 2. distortion
     distortion_type = text_of(entry.value("distortion_model")).lower() or "none"
     coefficients_key = entry.key(("distortion_coeffs",))
     distortion = []
     if distortion_type != "none" and coefficients_key is not None and entry[coefficients_key] != []:
         distortion = numbers_of(entry, coefficients_key)
-    model = "brown" if distortion_type == "none" else MODEL_NAMES.get(distortion_type, distortion_type)
+    model = "brown"
+    if distortion_type != "none":
+        model = MODEL_NAMES.get(distortion_type, distortion_type)
     if lens_model:
-        # beside these projections, only the omnidirectional one has a distortion that is known here
+        # of the projections other than the pinhole, only the omnidirectional one has a distortion that is known here
         if model != "brown" or (lens_model != "omni" and any(distortion)):
-            what = f"{name}: {projection} with {distortion_type} distortion is not known"
+            what = f"{entry.name}: {projection} with {distortion_type} distortion is not known"
             remedy = f"calibrate with {projection}-{'radtan' if lens_model == 'omni' else 'none'}"
             raise Faulty(what, (*entry.location, "distortion_model"), remedy)
         model = lens_model
-        padded = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5] if lens_model == "omni" else []
-        distortion = [*intrinsics[:offset], *padded]
+        if lens_model == "omni":
+            distortion = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+        else:
+            distortion = []  # zeros, which these models have no place for
+        # the parameters of the projection come first
+        distortion = [*intrinsics[:offset], *distortion]
+    # 3. the camera
     fx, fy, cx, cy = intrinsics[offset:]
     K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     fields = {"K": K, **size_of(entry), "distortion": distortion, "model": model, **pose}

@@ -47,7 +47,8 @@ def read_metashape(root: Element) -> dict[str, Calibrated]:
                 lenses[sensor.attributes.get("id", "")] = lens
         worlds = {component.attributes.get("id", ""): component for component in chunk.all("components", "component")}
         for camera in [*chunk.all("cameras", "camera"), *chunk.all("cameras", "group", "camera")]:
-            label, sensor_id = camera.attributes.get("label", ""), camera.attributes.get("sensor_id", "")
+            label = camera.attributes.get("label", "")
+            sensor_id = camera.attributes.get("sensor_id", "")
             if not label or label in cameras:
                 raise Faulty(f"two cameras have the label {label!r}", (camera.line,), "give each camera its own label")
             if sensor_id not in lenses:
@@ -77,8 +78,11 @@ def _lens(sensor: Element) -> dict[str, Any]:
     calibrations = list(sensor.all("calibration"))
     if not calibrations:
         return {}
-    adjusted = [element for element in calibrations if element.attributes.get("class") == "adjusted"]
-    calibration = (adjusted or calibrations)[0]
+    calibration = calibrations[0]
+    for element in calibrations:
+        if element.attributes.get("class") == "adjusted":
+            calibration = element
+            break
     if "master_id" in sensor.attributes:
         raise Faulty("is a sensor of a multi-camera system, which is not read", (sensor.line,), _REMEDY)
     kind = calibration.attributes.get("type", sensor.attributes.get("type", "frame"))
@@ -92,7 +96,8 @@ def _lens(sensor: Element) -> dict[str, Any]:
     resolution = calibration.find("resolution") or sensor.find("resolution")
     try:
         assert resolution is not None
-        width, height = int(resolution.attributes["width"]), int(resolution.attributes["height"])
+        width = int(resolution.attributes["width"])
+        height = int(resolution.attributes["height"])
     except (AssertionError, KeyError, ValueError):
         raise Faulty("lacks the width and height of the pictures", (calibration.line,), _REMEDY) from None
     if kind == "fisheye":
@@ -107,7 +112,8 @@ def _lens(sensor: Element) -> dict[str, Any]:
         if value[name]:
             remedy = f"align without fitting {', '.join(unsupported)}"
             raise Faulty(f"{name} is {value[name]:g}, and this coefficient is not read", (calibration.line,), remedy)
-    cx, cy = width / 2 + value["cx"] - 0.5, height / 2 + value["cy"] - 0.5
+    cx = width / 2 + value["cx"] - 0.5
+    cy = height / 2 + value["cy"] - 0.5
     K = [[value["f"] + value["b1"], value["b2"], cx], [0.0, value["f"], cy], [0.0, 0.0, 1.0]]
     fields = {"K": K, "width": width, "height": height, "distortion": distortion, "model": model}
     try:
@@ -123,13 +129,16 @@ def _pose(camera: Element, world: Element, chunk: Element) -> dict[str, Any]:
     if transform is None:
         return {}
     rows = rows_of(_numbers(transform, 16), 4)
-    rotation, position = [row[:3] for row in rows[:3]], [row[3] for row in rows[:3]]
-    if fault := rotation_fault(rotation):
+    rotation = [row[:3] for row in rows[:3]]
+    position = [row[3] for row in rows[:3]]
+    fault = rotation_fault(rotation)
+    if fault:
         raise Faulty(f"the transform of {camera.attributes['label']} {fault}", (transform.line,), _REMEDY)
     to_world = world.find("transform")
     if to_world is None or not to_world.children:
         return {"R": turned_axes(rotation, 1.0), "C": position, "metric": False}
     _refuse_geocentric(chunk)
+    # C = scale * world_rotation * position + translation
     world_rotation, translation, scale = _similarity(to_world)
     moved = [sum(world_rotation[i][k] * position[k] for k in range(3)) * scale + translation[i] for i in range(3)]
     return {"R": turned_axes(product(world_rotation, rotation), 1.0), "C": moved}
@@ -144,6 +153,7 @@ def _refuse_geocentric(chunk: Element) -> None:
 
 
 def _similarity(transform: Element) -> tuple[Matrix, Vector, float]:
+    """Rotation, translation and scale of the transform of a chunk or component; parts that are left out change nothing."""
     parts = {"rotation": 9, "translation": 3, "scale": 1}
     _refuse_unknown(transform, set(parts))
     values: dict[str, list[float]] = {"rotation": [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], "translation": [0.0] * 3, "scale": [1.0]}
@@ -152,12 +162,14 @@ def _similarity(transform: Element) -> tuple[Matrix, Vector, float]:
         if element is not None:
             values[name] = _numbers(element, count)
     rotation = rows_of(values["rotation"], 3)
-    if fault := rotation_fault(rotation):
+    fault = rotation_fault(rotation)
+    if fault:
         raise Faulty(f"the rotation {fault}", (transform.line,), _REMEDY)
     return rotation, values["translation"], values["scale"][0]
 
 
 def _numbers(element: Element, count: int) -> list[float]:
+    """The numbers in an element.  Raises Faulty if there are not `count`."""
     try:
         numbers = [float(word) for word in element.text.split()]
     except ValueError:
@@ -168,6 +180,7 @@ def _numbers(element: Element, count: int) -> list[float]:
 
 
 def _refuse_unknown(element: Element, known: set[str]) -> None:
+    """Raise Faulty if an element holds another one that is not known."""
     for child in element.children:
         if child.tag not in known:
             what = f"<{child.tag}> in <{element.tag}> is not read, so what it says would be lost"

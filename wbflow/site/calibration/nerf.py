@@ -45,6 +45,7 @@ def read_transforms(data: dict[str, Any]) -> dict[str, Calibrated]:
     scale = whole.value("applied_scale")
     if scale not in (None, 1, 1.0):
         raise whole.fault("applied_scale", f"is {scale}: lengths are no metres", "divide the translations by it, and remove it")
+    # what all frames have in common stands beside them; a frame's own value takes precedence
     shared = {key: value for key, value in data.items() if key in _LENS_KEYS or key.startswith("camera_angle_")}
     whole.ignore(*shared, "frames", *_IRRELEVANT_KEYS)
     whole.finish(_LENS_KEYS, _REMEDY)
@@ -77,8 +78,10 @@ def _with_focal_lengths(values: dict[str, Any], location: tuple[str | int, ...],
         if size is None:
             raise Faulty(f"{name} lacks the size of the pictures", location, "add w and h, in pixels")
         centre = _number(entry, f"c{axis}")
+        if centre is None:
+            centre = size / 2
         # the origin is the corner of the first pixel, wbflow's is its middle
-        completed[f"c{axis}"] = (size / 2 if centre is None else centre) - 0.5
+        completed[f"c{axis}"] = centre - 0.5
         if _number(entry, f"fl_{axis}") is None and angles[axis] is not None:
             angle = _number(entry, f"camera_angle_{axis}")
             if angle is None or not 0 < angle < math.pi:
@@ -90,6 +93,7 @@ def _with_focal_lengths(values: dict[str, Any], location: tuple[str | int, ...],
 
 
 def _number(entry: Entry, key: str) -> float | None:
+    """The number of a key; None if there is none.  Raises Faulty for anything else than a number."""
     if entry.value(key) is None:
         return None
     numbers = numbers_of(entry, key)
@@ -116,9 +120,13 @@ def read_splatting(entries: list[dict[str, Any]]) -> dict[str, Calibrated]:
         rotation = rows_of(numbers, 3)
         if len(numbers) != 9:
             raise entry.fault("rotation", "must be 3x3 numbers")
-        if fault := rotation_fault(rotation):
+        fault = rotation_fault(rotation)
+        if fault:
             raise entry.fault("rotation", fault)
-        width, height, fx, fy = (_number(entry, key) for key in ("width", "height", "fx", "fy"))
+        width = _number(entry, "width")
+        height = _number(entry, "height")
+        fx = _number(entry, "fx")
+        fy = _number(entry, "fy")
         if width is None or height is None or fx is None or fy is None or name in cameras:
             raise Faulty(f"{name} must have width, height, fx, fy, and a name of its own", (number,))
         fields = {

@@ -57,7 +57,8 @@ def read_pix4d(text: str) -> dict[str, Calibrated]:
                 rows.append([float(word) for word in row])
             except ValueError:
                 raise Faulty("must hold numbers", (row_number,), _REMEDY) from None
-        (k1, k2, k3), (p1, p2) = rows[3], rows[4]
+        k1, k2, k3 = rows[3]
+        p1, p2 = rows[4]
         fields = {
             "K": rows[:3],
             "width": int(words[-2]),

@@ -32,6 +32,7 @@ _AMBIGUOUS_KEYS = (
     "orientation",
     "P",
 )
+"""Keys that programs use for either direction, or for either convention."""
 _CONVENTION_KEYS = ("convention", "camera_convention")
 _CONVENTIONS = {"opencv": 1.0, "opengl": -1.0}
 """By the convention of a camera's axes: the sign of its y and z axes relative to OpenCV's (x right, y down, z forward)."""
@@ -51,18 +52,21 @@ def pose_of(entry: Entry) -> dict[str, Any]:
     Raises Faulty for a pose that is incomplete, contradicts itself, or can be understood in more than one way.
     """
     for name in _AMBIGUOUS_KEYS:
-        if (key := entry.key((name,))) is not None:
+        key = entry.key((name,))
+        if key is not None:
             raise entry.fault(key, "can be understood in more than one way", _WHAT_TO_WRITE)
-    found = [pose for pose in (_from_matrix(entry), _from_rotation(entry)) if pose]
-    if len(found) > 1:
+    from_matrix = _from_matrix(entry)
+    from_rotation = _from_rotation(entry)
+    if from_matrix and from_rotation:
         raise Faulty(f"{entry.name} states its pose twice".lstrip(), entry.location, "keep one of the two")
-    return found[0] if found else {}
+    return from_matrix or from_rotation
 
 
 def _from_matrix(entry: Entry) -> dict[str, Any]:
     """The pose from a 4x4 (or 3x4) matrix of either direction; {} if the entry has none."""
     convention_key = entry.key(_CONVENTION_KEYS)
-    to_camera, to_world = entry.key(_WORLD_TO_CAMERA_KEYS), entry.key(_CAMERA_TO_WORLD_KEYS)
+    to_camera = entry.key(_WORLD_TO_CAMERA_KEYS)
+    to_world = entry.key(_CAMERA_TO_WORLD_KEYS)
     if to_camera is None and to_world is None:
         if convention_key is not None:
             raise entry.fault(convention_key, "is of no matrix: there is neither w2c nor c2w", _WHAT_TO_WRITE)
@@ -101,14 +105,16 @@ def rigid_matrix(entry: Entry, key: str) -> tuple[Matrix, Vector]:
     if len(numbers) not in {12, 16} or (len(numbers) == 16 and rows[3] != [0, 0, 0, 1]):
         raise entry.fault(key, "must be 4x4: a rotation and a translation, and 0 0 0 1 below", _WHAT_TO_WRITE)
     rotation = [row[:3] for row in rows[:3]]
-    if fault := rotation_fault(rotation):
+    fault = rotation_fault(rotation)
+    if fault:
         raise entry.fault(key, f"does not begin with a rotation: it {fault}", _WHAT_TO_WRITE)
     return rotation, [row[3] for row in rows[:3]]
 
 
 def _from_rotation(entry: Entry) -> dict[str, Any]:
     """The pose from a rotation, and a translation or a centre; {} if the entry has none of them."""
-    R, C = _rotation(entry), _vector(entry, _CENTRE_KEYS)
+    R = _rotation(entry)
+    C = _vector(entry, _CENTRE_KEYS)
     translation_key = entry.key(_TRANSLATION_KEYS)
     if translation_key is not None:
         t = _vector(entry, _TRANSLATION_KEYS)
@@ -121,7 +127,8 @@ def _from_rotation(entry: Entry) -> dict[str, Any]:
         if C is not None and not math.dist(C, from_translation) <= _SAME_PLACE:
             what = f"contradicts the centre: -R^T t is {_shown(from_translation)}, not {_shown(C)}"
             raise entry.fault(translation_key, what, "keep the right one of them")
-        C = C if C is not None else from_translation
+        if C is None:
+            C = from_translation
     pose: dict[str, Any] = {}
     if R is not None:
         pose["R"] = R
@@ -132,7 +139,9 @@ def _from_rotation(entry: Entry) -> dict[str, Any]:
 
 def _rotation(entry: Entry) -> Matrix | None:
     """The rotation of an entry as a matrix, a rotation vector (axis times angle in radians) or COLMAP's quaternion."""
-    matrix_key, vector_key, quaternion_key = entry.key(_ROTATION_KEYS), entry.key(_VECTOR_KEYS), entry.key(("qvec",))
+    matrix_key = entry.key(_ROTATION_KEYS)
+    vector_key = entry.key(_VECTOR_KEYS)
+    quaternion_key = entry.key(("qvec",))
     stated = [key for key in (matrix_key, vector_key, quaternion_key) if key is not None]
     if len(stated) > 1:
         raise entry.fault(stated[1], f"and {stated[0]} are both given", "keep one of them")
@@ -141,7 +150,8 @@ def _rotation(entry: Entry) -> Matrix | None:
         if len(numbers) != 9:
             raise entry.fault(matrix_key, "must be 3x3 numbers")
         R = rows_of(numbers, 3)
-        if fault := rotation_fault(R):
+        fault = rotation_fault(R)
+        if fault:
             raise entry.fault(matrix_key, fault)
         return R
     if vector_key is not None:
@@ -160,6 +170,7 @@ def _rotation(entry: Entry) -> Matrix | None:
 
 
 def _vector(entry: Entry, names: tuple[str, ...]) -> Vector | None:
+    """The three numbers of the key that is one of these names; None if there is none.  Raises Faulty."""
     key = entry.key(names)
     if key is None:
         return None
@@ -175,7 +186,8 @@ def _rotation_of_vector(vector: Vector) -> Matrix:
     if angle < 1e-12:
         return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     x, y, z = (component / angle for component in vector)
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     v = 1 - c
     return [
         [c + x * x * v, x * y * v - z * s, x * z * v + y * s],

@@ -37,6 +37,7 @@ def read_stereo(data: dict[str, Any]) -> dict[str, Calibrated]:
     """
     whole = Entry(data)
     cameras: dict[str, Calibrated] = {}
+    # the file has one size for both cameras, and one pose: the right camera's
     size = {key: value for key, value in data.items() if plain(str(key)) in _SIZE_KEYS}
     pose = {key: value for key, value in data.items() if key in {"R", "T", "t"}}
     for number, name in enumerate(_NAMES, 1):

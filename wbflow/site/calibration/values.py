@@ -35,7 +35,8 @@ MODEL_NAMES = {
 
 def size_of(entry: Entry) -> dict[str, Any]:
     """Width and height of the images that a calibration is for.  Raises Faulty if it does not contain them."""
-    width, height = entry.value(*_WIDTH_KEYS), entry.value(*_HEIGHT_KEYS)
+    width = entry.value(*_WIDTH_KEYS)
+    height = entry.value(*_HEIGHT_KEYS)
     size_key = entry.key(_SIZE_KEYS)
     if size_key == "ImageSize":
         raise entry.fault(size_key, "may be MATLAB's, which gives rows before columns", "write image_width and image_height")
@@ -52,7 +53,9 @@ def size_of(entry: Entry) -> dict[str, Any]:
 
 def _whole(number: Any) -> Any:
     """A whole number that is written as a float (1920.0) as an int; anything else as it is, to be refused later."""
-    return int(number) if isinstance(number, float) and number.is_integer() else number
+    if isinstance(number, float) and number.is_integer():
+        return int(number)
+    return number
 
 
 def rows_of(flat: list[float], width: int) -> Matrix:
@@ -65,7 +68,8 @@ def numbers_of(entry: Entry, key: str) -> list[float]:
     value = entry[key]
     flat = list(_flattened(_data_of(value)))
     if isinstance(value, dict):
-        rows, columns = value.get("rows"), value.get("cols")
+        rows = value.get("rows")
+        columns = value.get("cols")
         if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(flat):
             raise entry.fault(key, f"says {rows} x {columns}, and holds {len(flat)} numbers")
     try:
@@ -86,10 +90,13 @@ def _number(value: Any) -> float:
 
 def _data_of(value: Any) -> Any:
     """The numbers of a matrix, without the frame of rows, cols and data that OpenCV and ROS put around them."""
-    return value.get("data") if isinstance(value, dict) else value
+    if isinstance(value, dict):
+        return value.get("data")
+    return value
 
 
 def _flattened(value: Any) -> Iterable[Any]:
+    """The items of lists within lists, in order."""
     if isinstance(value, list):
         for item in value:
             yield from _flattened(item)

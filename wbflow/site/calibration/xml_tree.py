@@ -31,8 +31,12 @@ class Element:
         """All elements on a path of tags below this one."""
         first, *rest = tags
         for child in self.children:
-            if child.tag == first:
-                yield from child.all(*rest) if rest else (child,)
+            if child.tag != first:
+                continue
+            if rest:
+                yield from child.all(*rest)
+            else:
+                yield child
 
 
 def parse_xml(text: str) -> Element:
@@ -89,10 +93,14 @@ def storage_data(element: Element) -> Any:
     values = [_scalar(word) for word in words]
     if len(values) == 1:
         return values[0]
-    return values if values and not any(isinstance(value, str) for value in values) else element.text.strip().strip('"')
+    # several words that are not all numbers are one text
+    if not values or any(isinstance(value, str) for value in values):
+        return element.text.strip().strip('"')
+    return values
 
 
 def _scalar(word: str) -> Any:
+    """A word as an int or a float if it is one, else as text without quotes."""
     for kind in (int, float):
         try:
             return kind(word)
