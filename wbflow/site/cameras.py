@@ -34,6 +34,7 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
 
     frame: the local frame for positions given by latitude and longitude; None if there are none.
     """
+    # the file of all cameras; a camera's own file takes precedence, and the site file's own entries do so over both
     calibrated = _calibrated_cameras(file.calibration, ("calibration",), problems)
     _check_ids([camera.id for camera in file.cameras], problems)
     cameras = []
@@ -182,6 +183,7 @@ def _merged_placement(camera: CameraEntry, entry: Calibrated | None, frame: Loca
 def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> Survey:
     """Distances and control points, with cameras by index; their faults are added to `problems`."""
     ids = [camera.id for camera in file.cameras]
+    # 1. distances
     distances = []
     for k, (left, right, metres) in enumerate(file.distances):
         location: Location = ("distances", k)
@@ -195,6 +197,7 @@ def read_survey(file: SiteFile, frame: LocalFrame | None, problems: Problems) ->
             problems.add(location, f"{left} has no distance from itself", "name two cameras")
         else:
             distances.append((first, second, float(metres)))
+    # 2. control points
     points = []
     observations = []
     for k, point in enumerate(file.control_points):

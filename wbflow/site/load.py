@@ -47,6 +47,7 @@ def load_site(path: str | Path, work: str | Path | None = None) -> Site:
 
 def site_of(document: Document, work: str | Path | None = None) -> Site:
     """Validate the content of a site file, as `load_site` does.  Raises SiteError."""
+    # all parts are checked, so that every problem is reported in one go
     problems = Problems(document)
     file = _validated(document, problems)
     frame = local_frame(file, problems)

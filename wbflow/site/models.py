@@ -166,7 +166,7 @@ class Pose(Position):
         if fault:
             raise _error(f"'rotation' {fault}")
         try:
-            _ = self.R
+            _ = self.R  # a direction may be impossible: straight up, or at its own position
         except ValueError as error:
             raise _error(str(error)) from None
         return self
@@ -215,6 +215,7 @@ class CameraEntry(Section):
             return None
         if not re.match("(https?|rtsps?|file)://.", url):
             raise _error("a url begins with http://, https://, rtsp://, rtsps://, or file:// for a folder that is written to")
+        # site files are shared and versioned, so they must not hold passwords
         if "@" in url.split("://", 1)[1].split("/", 1)[0]:
             raise _error("user and password belong in the file named by captures.credentials, not in the url")
         return url

@@ -122,6 +122,7 @@ class Pattern:
         if re.search(r"[?\[]", self.text):
             raise ValueError(f"{self.text} contains ? or [, which the name of a new capture cannot have")
         text = _FIELD.sub(lambda match: moment.strftime(_format_of(match)), self.text)
+        # a new capture lies in the first folder that the pattern allows: `**` may be none
         text = re.sub(r"\*\*/?", "", text)
         if "time" not in self._fields:
             text = text.replace("*", f"{moment:%H%M%S}", 1)
@@ -147,6 +148,7 @@ class Pattern:
 
     def _moment_reader(self, camera: str) -> Callable[[str], datetime.datetime | None]:
         """A function that reads date and time from a path; it returns None for a path that does not match."""
+        # one group of the expression for each directive, in this order
         directives: list[str] = []
         for field in _FIELD.finditer(self.text):
             directives += _DIRECTIVE.findall(_format_of(field))
@@ -165,7 +167,7 @@ class Pattern:
 
         camera: replaces {camera}.  The case of the suffix is ignored, as `find_untrusted` does.
         """
-        text = str(Path(self.text))
+        text = str(Path(self.text))  # as the paths on disk are written: without `./` and double slashes
         pieces = [re.escape(str(self.root / "x")[:-1])]
         if Path(text).is_absolute():
             pieces = []
@@ -200,6 +202,7 @@ def _wildcards_as_regex(text: str) -> str:
         if piece == "?":
             pieces.append("[^/]")
         elif piece.startswith("[") and piece.endswith("]"):
+            # `!` excludes in a file name, `^` in an expression; a backslash is an ordinary letter of a name
             inner = piece[1:-1].replace("\\", r"\\")
             pieces.append(f"[^{inner[1:]}]" if inner.startswith("!") else f"[{inner}]")
         else:

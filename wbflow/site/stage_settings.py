@@ -92,6 +92,7 @@ class _Section:
         if self.use is not None and not (isinstance(self.use, str) and self.use):
             self._add_problem("use", f"{printable(repr(self.use), 80)} is not a function", _USE)
             return StageSettings()
+        # 1. the function, by present names of parameters
         try:
             old_names = self._update_renamed()
             binding = bind(self.stage, self.use, self.values, self.reader)
@@ -104,8 +105,10 @@ class _Section:
             if package in sys.stdlib_module_names:
                 self._add_problem(self.selector, f"{function.dotted} is in Python's standard library, and not a stage", _USE)
                 return StageSettings()
+        # 2. its signature, and what the section gives it
         for fault in binding.faults():
             self._add_problem(self.selector, fault, _SIGNATURE)
+        # files are taken out first: they are inputs, no parameters
         files = self._files(binding)
         elsewhere = self._set_elsewhere()
         for name, value in self.values.items():

@@ -135,6 +135,7 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
         last_night = max(earlier[digest] for digest in first_of)
         text = f"its captures are the same as those of {last_night}: the picture is frozen"
         return _Search(distinct, Health("stale", text, figures, {"earlier": 0}, _REMEDY))
+    # unreadable files stay: the frame task names them
     usable = [file for file in files if file not in readable or file in new]
     if len(distinct) == 1 and len(readable) > 1:
         text = f"all {len(readable)} captures of the night are the same picture: it is frozen"

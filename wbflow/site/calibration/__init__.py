@@ -46,6 +46,7 @@ def read_calibration(path: Path) -> dict[str, Calibrated]:
         return _read_folder(path)
     if path.name in _COLMAP_NAMES:
         return read_colmap(path.parent)
+    # the content decides, as programs and people give files any name
     text = read_text(path)
     if is_pix4d(text):
         try:
@@ -70,6 +71,7 @@ def find_cameras(cameras: Mapping[str, Calibrated], camera: str) -> dict[str, Ca
     """
     if camera in cameras:
         return {camera: cameras[camera]}
+    # names are often paths: `gate/0001.jpg` may be of camera `0001` or `gate`
     by_file: dict[str, Calibrated] = {}
     by_folder: dict[str, Calibrated] = {}
     for name, entry in cameras.items():
@@ -209,6 +211,7 @@ def _cameras_in(data: Any, stem: str) -> dict[str, Calibrated]:
         return _listed_cameras(data, ())
     if not isinstance(data, dict):
         raise Faulty("must map image names to K, width and height; or be what a program for calibration wrote", (), _OWN_REMEDY)
+    # from the most particular layout to the most general one
     if is_transforms(data):
         return read_transforms(data)
     if is_chain(data):

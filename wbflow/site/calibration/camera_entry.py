@@ -57,6 +57,7 @@ def read_camera(entry: Entry, needs_distortion: bool = False) -> Calibrated:
         pose = {}
     else:
         pose = pose_of(entry)
+    # each step reads its keys, so that in the end only those are unread that nothing understands
     matrix_key, K = _camera_matrix(entry)
     size = _region_size(entry, K, size_of(entry))
     model, distortion_key, distortion = _distortion(entry)
@@ -225,6 +226,7 @@ def _lens_model(entry: Entry, distortion_key: str | None, count: int) -> str:
     if projection_key in stated and stated[projection_key] == "pinhole":
         # the projection is meant, which any distortion model can follow
         del stated[projection_key]
+    # several keys may name the model, as long as they agree
     first, *others = [*stated] or [""]
     for other in others:
         if stated[other] != stated[first]:

@@ -40,6 +40,7 @@ def read_metashape(root: Element) -> dict[str, Calibrated]:
     """Cameras by label.  A camera that was not aligned has a lens and no pose.  Raises Faulty, whose location is a line."""
     cameras: dict[str, Calibrated] = {}
     for chunk in root.all("chunk"):
+        # sensors and components are named by ids, which are of their chunk alone
         lenses: dict[str, dict[str, Any]] = {}
         for sensor in chunk.all("sensors", "sensor"):
             lens = _lens(sensor)
@@ -89,6 +90,7 @@ def _lens(sensor: Element) -> dict[str, Any]:
     if kind not in {"frame", "fisheye"}:
         raise Faulty(f"is a {kind} sensor, which is not read; frame and fisheye are", (calibration.line,), _REMEDY)
     _refuse_unknown(calibration, _CALIBRATION_KEYS)
+    # what the export leaves out is 0
     value = dict.fromkeys(_COEFFICIENTS, 0.0)
     for element in calibration.children:
         if element.tag in value:
@@ -107,11 +109,13 @@ def _lens(sensor: Element) -> dict[str, Any]:
     else:
         model = "brown"
         unsupported = ["k4", "p3", "p4"]
+        # OpenCV's order, with p1 and p2 exchanged
         distortion = [value["k1"], value["k2"], value["p2"], value["p1"], value["k3"]]
     for name in unsupported:
         if value[name]:
             remedy = f"align without fitting {', '.join(unsupported)}"
             raise Faulty(f"{name} is {value[name]:g}, and this coefficient is not read", (calibration.line,), remedy)
+    # counted from the middle of the picture; the middle of the first pixel is 0, 0 here and 0.5, 0.5 there
     cx = width / 2 + value["cx"] - 0.5
     cy = height / 2 + value["cy"] - 0.5
     K = [[value["f"] + value["b1"], value["b2"], cx], [0.0, value["f"], cy], [0.0, 0.0, 1.0]]
@@ -136,6 +140,7 @@ def _pose(camera: Element, world: Element, chunk: Element) -> dict[str, Any]:
         raise Faulty(f"the transform of {camera.attributes['label']} {fault}", (transform.line,), _REMEDY)
     to_world = world.find("transform")
     if to_world is None or not to_world.children:
+        # neither control points nor a scale bar: unit and axes of the chunk are arbitrary
         return {"R": turned_axes(rotation, 1.0), "C": position, "metric": False}
     _refuse_geocentric(chunk)
     # C = scale * world_rotation * position + translation

@@ -33,6 +33,7 @@ def is_pix4d(text: str) -> bool:
 
 def read_pix4d(text: str) -> dict[str, Calibrated]:
     """Cameras by image name.  Raises Faulty, whose location is the number of the line."""
+    # 1. the lines that name the layout
     lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     for expected, (number, words) in zip(_LAYOUT, lines, strict=False):
         if " ".join(words).lower() != expected:
@@ -40,10 +41,12 @@ def read_pix4d(text: str) -> dict[str, Calibrated]:
     at = len(_LAYOUT)
     if at < len(lines) and _FORMULA.match(" ".join(lines[at][1]).lower()):
         at += 1
+    # 2. the pictures
     cameras: dict[str, Calibrated] = {}
     while at < len(lines):
         number, words = lines[at]
         name = " ".join(words[:-2])
+        # a name may contain spaces: width and height are the last two words
         if len(words) < 3 or not all(word.isdigit() for word in words[-2:]) or name in cameras:
             raise Faulty("is not the first line of a picture: its name, width and height", (number,), _REMEDY)
         block = lines[at + 1 : at + 1 + len(_LINES_PER_PICTURE)]

@@ -86,6 +86,7 @@ def _from_matrix(entry: Entry) -> dict[str, Any]:
         t = [translation[0], sign * translation[1], sign * translation[2]]
         return {"R": R, "C": centre(R, t)}
     assert to_world is not None
+    # both conventions are frequent in this direction, and the wrong one would turn all cameras round
     if convention_key is None:
         raise entry.fault(to_world, "does not say which way the camera's axes point", _WHAT_TO_WRITE)
     rotation, position = rigid_matrix(entry, to_world)
@@ -124,6 +125,7 @@ def _from_rotation(entry: Entry) -> dict[str, Any]:
             from_translation = centre(R, t)
         except (TypeError, IndexError):
             raise entry.fault(translation_key, "needs a rotation of 3x3 numbers", _WHAT_TO_WRITE) from None
+        # files of some programs have both; then they must agree
         if C is not None and not math.dist(C, from_translation) <= _SAME_PLACE:
             what = f"contradicts the centre: -R^T t is {_shown(from_translation)}, not {_shown(C)}"
             raise entry.fault(translation_key, what, "keep the right one of them")
@@ -183,7 +185,7 @@ def _vector(entry: Entry, names: tuple[str, ...]) -> Vector | None:
 def _rotation_of_vector(vector: Vector) -> Matrix:
     """The rotation about an axis by its length in radians (Rodrigues' formula: R = I + sin a [k] + (1 - cos a) [k]^2)."""
     angle = math.hypot(*vector)
-    if angle < 1e-12:
+    if angle < 1e-12:  # it has no axis
         return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     x, y, z = (component / angle for component in vector)
     c = math.cos(angle)

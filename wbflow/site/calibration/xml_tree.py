@@ -63,7 +63,7 @@ def parse_xml(text: str) -> Element:
     def doctype(*_: object) -> None:
         raise Faulty("declares a document type, which no calibration needs", (parser.CurrentLineNumber,), "remove <!DOCTYPE ...>")
 
-    parser.buffer_text = True
+    parser.buffer_text = True  # one call for each text, not one for each line of it
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = characters
@@ -83,9 +83,10 @@ def parse_xml(text: str) -> Element:
 def storage_data(element: Element) -> Any:
     """The value of an element of OpenCV's storage: a mapping, a list, a matrix with rows, cols and data, a number or a text."""
     if element.children:
-        if all(child.tag == "_" for child in element.children):
+        if all(child.tag == "_" for child in element.children):  # OpenCV's tag for the items of a list
             return [storage_data(child) for child in element.children]
         data = {child.tag: storage_data(child) for child in element.children}
+        # a matrix is a mapping like any other: rows, cols, data
         if len(data) < len(element.children):
             raise Faulty(f"<{element.tag}> holds a key twice", (element.line,), "keep one of them")
         return data
