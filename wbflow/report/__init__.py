@@ -11,7 +11,8 @@ def render(template: str, **content: Any) -> str:
     from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined  # here: only pages need it
     from markupsafe import Markup
 
-    assets, compiled = PackageLoader(__package__, "assets"), None
+    assets = PackageLoader(__package__, "assets")
+    compiled = None
     with contextlib.suppress(RuntimeError, OSError):  # without a cache folder, templates are compiled each time
         compiled = FileSystemBytecodeCache()
     environment = Environment(

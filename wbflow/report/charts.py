@@ -16,10 +16,22 @@ from ..verdict.baseline import appearance_of
 from ..words import number
 from .data import ReportData, is_number, state_of
 
-WIDTH, HEIGHT, EDGE = 260.0, 76.0, 8.0
+WIDTH = 260.0
+HEIGHT = 76.0
+EDGE = 8.0
+"""Size of a chart, and its margin, in units of its drawing: room for the dots at its ends."""
 SPARK_NIGHTS = 14
+"""Number of nights in a camera's row of bars."""
+_LEAST_BAR = 0.12
+"""Smallest height of such a bar, so that a camera without usable pairs can still be seen."""
 TIMETABLE_WIDTH = 1000.0
+"""Width of the timetable, in units of its drawing."""
 _MOST_ROWS = 64
+"""Largest number of rows of the timetable; tasks beyond it are left out."""
+_SAME_MOMENT_S = 0.02
+"""A task may begin this much before the end of the one before it in its row: clocks are not more exact."""
+_LEAST_SPAN_S = 1e-3
+"""Smallest length of the timetable: a single short task must not divide by zero."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +107,19 @@ def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
     bars: dict[str, list[tuple[str, float, str]]] = {camera.id: [] for camera in data.record.cameras}
     for night in data.nights[-SPARK_NIGHTS:]:
         figures = appearance_of(night)
-        for camera in (camera for camera in night.cameras if camera.id in bars):
+        for camera in night.cameras:
+            # a camera that is no longer in the site has no row
+            if camera.id not in bars:
+                continue
             share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
-            health = camera.health.state if camera.health and not camera.health.ok else "as it should be"
-            well = f"{health}, {100 * share:.0f} % of its pairs find common points"
-            words = well if camera.ok else camera.reason or camera.outcome
-            bars[camera.id].append((state_of(camera, night), max(0.12, share), f"{night.date}: {words}"))
+            if camera.ok:
+                health = "as it should be"
+                if camera.health and not camera.health.ok:
+                    health = camera.health.state
+                words = f"{health}, {100 * share:.0f} % of its pairs find common points"
+            else:
+                words = camera.reason or camera.outcome
+            bars[camera.id].append((state_of(camera, night), max(_LEAST_BAR, share), f"{night.date}: {words}"))
     return bars
 
 
@@ -108,7 +127,8 @@ def tasks_of_stages(data: ReportData) -> list[tuple[str, Counter[str]]]:
     """Return the name of each stage with the counts of its tasks' outcomes: ran, cached, rejected, failed, skipped."""
     counts: dict[str, Counter[str]] = {}
     for task, event in data.tasks.items():
-        outcome = "cached" if event.usable and not (event.outcome == "ran" and event.fresh) else event.outcome
+        has_run = event.outcome == "ran" and event.fresh
+        outcome = "cached" if event.usable and not has_run else event.outcome
         counts.setdefault(task.stage, Counter())[outcome] += 1
     return [(stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts]
 
@@ -119,7 +139,7 @@ def timetable(data: ReportData) -> tuple[list[tuple[int, int, float, float, str]
     A bar is the index of the stage in `STAGES`, which gives the colour, its row, x, width, and label; tasks that ran at the same
     time are in different rows.
     """
-    numbers = {stage.name: k for k, stage in enumerate(STAGES)}
+    # 1. When each task ran, by its receipt.
     ran: list[tuple[float, float, Task]] = []
     for task, event in data.tasks.items():
         receipt = data.receipt(task) if event.fresh else None
@@ -129,16 +149,25 @@ def timetable(data: ReportData) -> tuple[list[tuple[int, int, float, float, str]
     if not ran:
         return [], 0.0
     ran.sort(key=lambda entry: entry[0])
-    first, last = ran[0][0], max(end for _, end, _ in ran)
-    span = max(last - first, 1e-3)
+    first = ran[0][0]
+    last = max(end for _, end, _ in ran)
+    span = max(last - first, _LEAST_SPAN_S)
+
+    # 2. Each task is in the first row that is free when it begins.
+    stage_numbers = {stage.name: k for k, stage in enumerate(STAGES)}
     row_ends: list[float] = []
     bars = []
     for begin, end, task in ran:
-        row = next((k for k, row_end in enumerate(row_ends) if row_end <= begin + 0.02), len(row_ends))
+        row = 0
+        while row < len(row_ends) and row_ends[row] > begin + _SAME_MOMENT_S:
+            row += 1
         if row >= _MOST_ROWS:
             continue
-        row_ends[row : row + 1] = [end]
+        if row < len(row_ends):
+            row_ends[row] = end
+        else:
+            row_ends.append(end)
         title = f"{task}: {end - begin:.1f} s, from {begin - first:.1f} s on"
         width = max(1.0, (end - begin) / span * TIMETABLE_WIDTH)
-        bars.append((numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
+        bars.append((stage_numbers[task.stage], row, (begin - first) / span * TIMETABLE_WIDTH, width, title))
     return bars, span

@@ -58,12 +58,21 @@ class ReportData:
     @cached_property
     def tasks(self) -> dict[Task, TaskEvent]:
         """The event with the outcome of each task."""
-        return {event.task: event for event in self.events if isinstance(event, TaskEvent)}
+        outcomes: dict[Task, TaskEvent] = {}
+        for event in self.events:
+            # a task that was tried again has several events: the last one counts
+            if isinstance(event, TaskEvent):
+                outcomes[event.task] = event
+        return outcomes
 
     @cached_property
     def keys(self) -> dict[Task, str]:
         """The cache key of each result."""
-        return {task: event.key for task, event in self.tasks.items() if event.usable and event.key}
+        keys: dict[Task, str] = {}
+        for task, event in self.tasks.items():
+            if event.usable and event.key:
+                keys[task] = event.key
+        return keys
 
     @cached_property
     def numbers(self) -> dict[str, int]:
@@ -73,22 +82,31 @@ class ReportData:
     def receipt(self, task: Task) -> Receipt | None:
         """Return the receipt of a result, also of a rejection; None if it is gone or never existed."""
         event = self.tasks.get(task)
-        return self.cache.by_key(task, event.key) if event and event.key else None
+        if event is None or not event.key:
+            return None
+        return self.cache.by_key(task, event.key)
 
     def product_file(self, task: Task, name: str) -> bytes | None:
         """Return a product file of a result (see `Products.product_files`); None if it is gone or never existed."""
-        return self.cache.product_file(task, key, name) if (key := self.keys.get(task)) else None
+        key = self.keys.get(task)
+        if key is None:
+            return None
+        return self.cache.product_file(task, key, name)
 
     def frame(self, camera: str) -> Task:
         """Return the task of a camera's frame; if it has several views, that of the first one, which shows the middle."""
-        camera_frame, first_view = (Task(FRAMES, (name,)) for name in (camera, view_name(camera, 1)))
-        return first_view if first_view in self.tasks else camera_frame
+        first_view = Task(FRAMES, (view_name(camera, 1),))
+        if first_view in self.tasks:
+            return first_view
+        return Task(FRAMES, (camera,))
 
     @cached_property
     def earlier(self) -> list[RunRecord]:
         """The last run of each earlier night, the latest night first."""
+        # a night that is run again has later nights among the earlier runs
         runs = newest_runs(self.work, before=self.record.run)
-        return last_of_nights((run for run in runs if run[1].date < self.record.date), NIGHTS - 1)[::-1]
+        of_earlier_nights = (run for run in runs if run[1].date < self.record.date)
+        return last_of_nights(of_earlier_nights, NIGHTS - 1)[::-1]
 
     @property
     def nights(self) -> list[RunRecord]:
@@ -98,15 +116,20 @@ class ReportData:
     @cached_property
     def last_good(self) -> RunRecord | None:
         """The last earlier night with a good verdict."""
-        return next((night for night in self.earlier if night.verdict and night.verdict.good), None)
+        for night in self.earlier:
+            if night.verdict and night.verdict.good:
+                return night
+        return None
 
     @cached_property
     def since_last_good(self) -> Comparison | None:
         """Tonight's changes compared with those of the last good night; None if that night does not have the same reference."""
-        record, good = self.record, self.last_good
+        record = self.record
+        good = self.last_good
         if good is None or record.reference is None or record.reference not in {good.reference, good.run}:
             return None
         tonight = record.changes
+        # on the night of the reference, nothing differs from it
         before = good.changes if good.run != record.reference else {}
         known = tonight.keys() & before.keys()
         gone = {name: change for name, change in before.items() if name not in tonight}
@@ -127,18 +150,34 @@ class ReportData:
 
         Tonight's are best, then those of the reference, of the last earlier night that has any, and of the site file.
         """
-        placed = (camera for camera in self.site.cameras if camera.placement.C is not None)
-        from_site = {c.id: {**vars(c.placement), "K": c.lens.K, "width": c.lens.width, "height": c.lens.height} for c in placed}
-        sources: list[tuple[Mapping[str, Any], str]] = [(from_site, "position from the site file")]
-        for record in self.earlier:
-            with suppress(NoSuchRun):
-                if cameras := RunFolder.of(self.work, record.run).cameras():
-                    sources.append((cameras, f"position on {record.date}"))
-                    break
+        # 1. The sources, from the worst to the best.
+        stated: dict[str, Any] = {}
+        for camera in self.site.cameras:
+            if camera.placement.C is not None:
+                lens = camera.lens
+                stated[camera.id] = {**vars(camera.placement), "K": lens.K, "width": lens.width, "height": lens.height}
+        sources: list[tuple[Mapping[str, Any], str]] = [(stated, "position from the site file")]
+        sources += self._last_solved()
         if self.reference:
             sources.append((self.reference.cameras, f"position on {self.reference.date}"))
         sources.append((self.cameras, ""))
-        return {name: (entry, note) for cameras, note in sources for name, entry in cameras.items() if entry.get("C")}
+
+        # 2. A better source replaces what a worse one says of a camera.
+        placements: dict[str, tuple[Mapping[str, Any], str]] = {}
+        for cameras, note in sources:
+            for name, entry in cameras.items():
+                if entry.get("C"):
+                    placements[name] = entry, note
+        return placements
+
+    def _last_solved(self) -> list[tuple[Mapping[str, Any], str]]:
+        """Return the cameras of the last earlier night that has any, with a note; nothing if there is none."""
+        for record in self.earlier:
+            with suppress(NoSuchRun):
+                cameras = RunFolder.of(self.work, record.run).cameras()
+                if cameras:
+                    return [(cameras, f"position on {record.date}")]
+        return []
 
     @property
     def unit(self) -> str:
@@ -157,7 +196,9 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     is_healthy = camera.health is None or camera.health.ok
     poses = record.poses
     is_suspect = poses is not None and any(issue.camera == camera.id for issue in poses.issues)
-    return "good" if is_healthy and not is_suspect and camera.down is None else "warn"
+    if is_healthy and not is_suspect and camera.down is None:
+        return "good"
+    return "warn"
 
 
 def is_number(value: object) -> TypeGuard[float]:

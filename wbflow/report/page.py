@@ -59,15 +59,23 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
     products = stage_named(CHANGES).products
     summary = ChangesSummary.from_json(figures(changes))
     with TemporaryDirectory() as folder:
-        pictures = {name: data for name, data in load(products.files)(changes) if sections.is_picture(name)}
-        for name, data in pictures.items():
-            (Path(folder) / name).write_bytes(data)
-        record = replace(
-            tonight.record, reference=reference.id, verdict=None, results={CHANGES: replace(summary, files=tuple(pictures))}
-        )
-        events = [e for e in tonight.events if not (isinstance(e, TaskEvent) and e.task.stage == CHANGES)]
+        # 1. The pictures of the changes, as a run would publish them.
+        pictures = []
+        for name, content in load(products.files)(changes):
+            if sections.is_picture(name):
+                (Path(folder) / name).write_bytes(content)
+                pictures.append(name)
+
+        # 2. Tonight's run, with these changes instead of its own.
+        results = {CHANGES: replace(summary, files=tuple(pictures))}
+        record = replace(tonight.record, reference=reference.id, verdict=None, results=results)
+        events = []
+        for event in tonight.events:
+            if not (isinstance(event, TaskEvent) and event.task.stage == CHANGES):
+                events.append(event)
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
-        content = _content(shown, [*points_of(shown), Points("change", load(products.product_files["view"])(changes))])
+        changed_points = Points("change", load(products.product_files["view"])(changes))
+        content = _content(shown, [*points_of(shown), changed_points])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise WbflowError("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
@@ -78,19 +86,28 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
 
 def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     """Return the variables of the template.  What comes first is embedded first: small pictures, other points, large pictures."""
-    record, album = data.record, Pictures(data)
-    (findings, folded), parts = sections.findings(data, album), sections.parts(data, album)
+    record = data.record
+    # 1. Small pictures, in the order of the page.
+    album = Pictures(data)
+    findings, folded = sections.findings(data, album)
+    parts = sections.parts(data, album)
     camera_pictures = {camera.id: album.of_task(data.frame(camera.id), camera.id) for camera in record.cameras}
     pair_pictures = sections.pair_pictures(data, album)
     other = other_night(data, record.reference)
     pictures_then = other_pictures(album, other) if other else {}
+
+    # 2. The other night's points, if there is room for them.
     row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
-    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + sum(len(stream.data) for stream in points))
+    point_bytes = sum(len(stream.data) for stream in points)
+    bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + point_bytes)
     points_then = points_of_other(data, other) if other and points else None
     if points_then and _base64_size(len(points_then.data)) <= bytes_left:
         points = [*points, points_then]
         bytes_left -= _base64_size(len(points_then.data))
-    scene = scene_of(data, [tuple(p) for p in points[0].head["sample"]] if points else [])
+
+    # 3. The scene, of some of the night's points; large pictures get the room that is left.
+    sample = [tuple(point) for point in points[0].head["sample"]] if points else []
+    scene = scene_of(data, sample)
     site_map = Map(scene) if scene else None
     return {
         "data": data,
@@ -115,7 +132,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "other_nights": list(_other_nights(data)),
         "other": other,
         "other_pictures": pictures_then,
-        "last_cloud": next(((night.date, data.report_of(night.run)) for night in data.earlier if night.cloud), None),
+        "last_cloud": _last_cloud(data),
         "when": _when(data),
         "files": list(_files(data)),
         "large_pictures": large_pictures(data, bytes_left),
@@ -123,7 +140,16 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
 
 
 def _base64_size(size: int) -> int:
+    # three bytes are written as four letters
     return size * 4 // 3
+
+
+def _last_cloud(data: ReportData) -> tuple[str, str] | None:
+    """Return date and report of the last earlier night with a cloud; None if there is none."""
+    for night in data.earlier:
+        if night.cloud:
+            return night.date, data.report_of(night.run)
+    return None
 
 
 def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
@@ -138,7 +164,8 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
 
 
 def _when(data: ReportData) -> str:
-    began, ended = (data.site.local(moment(at).timestamp()) for at in (data.record.started, data.record.finished))
+    began = data.site.local(moment(data.record.started).timestamp())
+    ended = data.site.local(moment(data.record.finished).timestamp())
     day = "" if began.date() == ended.date() else f"{ended:%Y-%m-%d} "
     return f"{began:%Y-%m-%d %H:%M %Z} to {day}{ended:%H:%M %Z}"
 
@@ -147,19 +174,26 @@ def _pose_notes(record: RunRecord) -> Iterator[str]:
     """Yield how the cameras' poses were found, with residuals of distances and control points."""
     if record.poses is None:
         return
-    values = {name: value for name, value in vars(record.poses).items() if isinstance(value, str | int | float) and value != ""}
-    texts = (f"{name.replace('_', ' ')} {format_value(value)}" for name, value in values.items())
+    texts = []
+    for name, value in vars(record.poses).items():
+        if isinstance(value, str | int | float) and value != "":
+            texts.append(f"{name.replace('_', ' ')} {format_value(value)}")
     yield f"Positions of the cameras: {', '.join(texts)}."
     yield from record.poses.notes
     yield from record.poses.joins
 
 
 def _files(data: ReportData) -> Iterator[tuple[str, str]]:
-    record, paths = data.record, data.work.run(data.record.run)
+    record = data.record
+    paths = data.work.run(record.run)
     for cloud in (record.cloud, *record.other_clouds):
         if cloud:
             yield f"{cloud.path} ({cloud.points:,} points)", cloud.path
-    product_files = {name for result in record.results.values() for name in result.files}
-    pose_files = [paths.cameras.name] if data.cameras else []
-    for name in (*pose_files, *sorted(product_files), paths.record.name, paths.log.name):
+    product_files: set[str] = set()
+    for result in record.results.values():
+        product_files.update(result.files)
+    names = [paths.cameras.name] if data.cameras else []
+    names += sorted(product_files)
+    names += [paths.record.name, paths.log.name]
+    for name in names:
         yield name, name

@@ -58,11 +58,13 @@ def other_night(data: ReportData, run: str | None) -> ReportData | None:
 
 def _is_as_private(data: ReportData, other: ReportData, frame: Task) -> bool:
     """Return whether a camera's picture of another night hides what is private now: same polygons, or none any more."""
-    site_view = next((view for view in data.site.views if (view.id,) == frame.subject), None)
-    if site_view is None or not site_view.privacy:
+    has_polygons = any(view.privacy for view in data.site.views if (view.id,) == frame.subject)
+    if not has_polygons:
         return True
-    old, new = other.receipt(frame), data.receipt(frame)
+    old = other.receipt(frame)
+    new = data.receipt(frame)
     if old is None or new is None or frame not in data.keys:
+        # what was hidden then, or is now, is not known any more
         return False
     return old.preimage.inputs.get("privacy") == new.preimage.inputs.get("privacy")
 
@@ -74,17 +76,28 @@ def _homography(old: Mapping[str, Any] | None, new: Mapping[str, Any] | None) ->
     """
     if not old or not new or not all(entry.get("R") and entry.get("K") for entry in (old, new)):
         return ""
-    rotation = product(new["R"], list(zip(*old["R"], strict=True)))
-    matrix = product(product(_to_unit(new), rotation), _from_unit(old))
-    rows = [[value / matrix[2][2] for value in row] for row in matrix]
-
-    def shift(x: float, y: float) -> float:
-        u, v, w = (row[0] * x + row[1] * y + row[2] for row in rows)
-        return max(abs(u / w - x), abs(v / w - y))
-
-    if max(shift(x, y) for x in (0.0, 1.0) for y in (0.0, 1.0)) < _LEAST_SHIFT:
+    # A camera that turns at its place maps pixels by K_new R_new R_old^T K_old^-1 (Hartley and Zisserman, 2nd ed., section 8.4).
+    new_R_old = product(new["R"], list(zip(*old["R"], strict=True)))
+    matrix = product(product(_to_unit(new), new_R_old), _from_unit(old))
+    values = []
+    for row in matrix:
+        for value in row:
+            values.append(value / matrix[2][2])
+    if _largest_shift(values) < _LEAST_SHIFT:
         return ""
-    return " ".join(f"{value:.7g}" for row in rows for value in row)
+    return " ".join(f"{value:.7g}" for value in values)
+
+
+def _largest_shift(homography: Sequence[float]) -> float:
+    """Return by how much a homography (9 values, row by row) moves a corner of the unit square, at most, along an axis."""
+    a, b, c, d, e, f, g, h, i = homography
+    largest = 0.0
+    for x, y in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+        w = g * x + h * y + i
+        u = (a * x + b * y + c) / w
+        v = (d * x + e * y + f) / w
+        largest = max(largest, abs(u - x), abs(v - y))
+    return largest
 
 
 @dataclass
@@ -98,21 +111,29 @@ class Pictures:
     def of_task(self, task: Task, alt: str) -> Picture | None:
         """Return the picture of a result of this run."""
         event = self.data.tasks.get(task)
-        return self._from_result(task, event.key, alt) if event and event.key else None
+        if event is None or not event.key:
+            return None
+        return self._from_result(task, event.key, alt)
 
     def of_last_good(self, camera: str) -> Picture | None:
         """Return a camera's picture of the last night on which it was in good state."""
         for record in self.data.earlier:
-            if any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras):
-                night = other_night(self.data, record.run)
-                return self.of_other_night(night, camera, f"{camera} on {record.date}, when it was well") if night else None
+            was_good = any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras)
+            if not was_good:
+                continue
+            night = other_night(self.data, record.run)
+            if night is None:
+                return None
+            return self.of_other_night(night, camera, f"{camera} on {record.date}, when it was well")
         return None
 
     def of_other_night(self, other: ReportData, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of another night."""
         task = self.data.frame(camera)
         key = other.keys.get(task)
-        return self._from_result(task, key, alt) if key and _is_as_private(self.data, other, task) else None
+        if not key or not _is_as_private(self.data, other, task):
+            return None
+        return self._from_result(task, key, alt)
 
     def of_product(self, name: str, alt: str) -> Picture | None:
         """Return a picture that the run publishes."""
@@ -120,11 +141,12 @@ class Pictures:
         return self._from_file(path, alt, lambda: read_untrusted(path), link=name)
 
     def _from_result(self, task: Task, key: str, alt: str) -> Picture | None:
-        path, cache = self.data.work.product_file(task, key, "picture"), self.data.cache
-        return self._from_file(path, alt, lambda: cache.product_file(task, key, "picture"))
+        path = self.data.work.product_file(task, key, "picture")
+        return self._from_file(path, alt, lambda: self.data.cache.product_file(task, key, "picture"))
 
     def _from_file(self, path: Path, alt: str, read: Callable[[], bytes | None], link: str = "") -> Picture | None:
         """Return the picture in a file; None if there is none.  link: path to a product, relative to the report."""
+        # it is embedded where it comes first; elsewhere a script of the page copies it
         if path in self._ids:
             return Picture(self._ids[path], alt)
         name = f"picture-{len(self._ids) + 1}"
@@ -144,10 +166,11 @@ class Pictures:
 def other_pictures(album: Pictures, other: ReportData) -> dict[str, tuple[Picture, str]]:
     """Return, by camera, its picture of another night, and the homography that maps it onto the picture of this night."""
     pictures = {}
-    for camera in (camera.id for camera in album.data.record.cameras):
-        picture = album.of_other_night(other, camera, f"{camera} on {other.record.date}")
+    for camera in album.data.record.cameras:
+        name = camera.id
+        picture = album.of_other_night(other, name, f"{name} on {other.record.date}")
         if picture and not picture.link:
-            pictures[camera] = picture, _homography(other.cameras.get(camera), album.data.cameras.get(camera))
+            pictures[name] = picture, _homography(other.cameras.get(name), album.data.cameras.get(name))
     return pictures
 
 
@@ -180,8 +203,12 @@ MOST_POINTS = 300_000
 def points_of_other(data: ReportData, other: ReportData) -> Points | None:
     """Return at most `MOST_POINTS` points of another night's cloud; None if it is gone, or might show what is private now."""
     stream = other.product_file(Task(FUSE), "view")
-    if stream is None or not all(_is_as_private(data, other, frame) for frame in other.keys if frame.stage == FRAMES):
+    if stream is None:
         return None
+    for frame in other.keys:
+        # a point may be from any of its pictures
+        if frame.stage == FRAMES and not _is_as_private(data, other, frame):
+            return None
     if split(stream)[0]["n"] > MOST_POINTS:
         stream = load("wbflow_stages.exports.view:thinned_view")(stream, MOST_POINTS)
     return Points("then", stream)
@@ -189,8 +216,12 @@ def points_of_other(data: ReportData, other: ReportData) -> Points | None:
 
 def points_of(data: ReportData) -> list[Points]:
     """Return the points of the night's results, in the order of the stages: the product's come first."""
-    streams = ((stage.name, data.product_file(Task(stage.name), "view")) for stage in STAGES)
-    return [Points("product" if name == FUSE else "change", stream) for name, stream in streams if stream]
+    points = []
+    for stage in STAGES:
+        stream = data.product_file(Task(stage.name), "view")
+        if stream:
+            points.append(Points("product" if stage.name == FUSE else "change", stream))
+    return points
 
 
 def split(data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -205,20 +236,31 @@ def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, st
     The data are three words of Base64 ("-" for none): the JPEG, keypoints, and inliers; points are pairs of unsigned 16-bit
     numbers, as shares of width and height.  `bytes_left` limits their size in bytes; cameras with a finding have priority.
     """
-    verdict, numbers = data.record.verdict, data.numbers
-    in_findings = {name for finding in verdict.findings for name in finding.subject} if verdict else set()
-    inliers = _inliers(data)
+    numbers = data.numbers
+    in_findings: set[str] = set()
+    if data.record.verdict:
+        for finding in data.record.verdict.findings:
+            in_findings.update(finding.subject)
+    inliers_of = _inliers(data)
     pictures: list[tuple[int, str, str]] = []
     for camera in sorted(numbers, key=lambda name: (name not in in_findings, numbers[name])):
         frame = data.frame(camera)
-        if picture := data.product_file(frame, "large"):
-            marks = data.product_file(Task(FEATURES, frame.subject), "marks") or b"", inliers[frame.subject[0]]
-            encoded = " ".join(base64.b64encode(part).decode() or "-" for part in (picture, *marks))
-            if len(encoded) > bytes_left:
-                break
-            bytes_left -= len(encoded)
-            pictures.append((numbers[camera], encoded, _keypoint_note(data, frame) if any(marks) else ""))
+        picture = data.product_file(frame, "large")
+        if not picture:
+            continue
+        keypoints = data.product_file(Task(FEATURES, frame.subject), "marks") or b""
+        inliers = inliers_of[frame.subject[0]]
+        encoded = f"{_encoded(picture)} {_encoded(keypoints)} {_encoded(inliers)}"
+        if len(encoded) > bytes_left:
+            break
+        bytes_left -= len(encoded)
+        note = _keypoint_note(data, frame) if keypoints or inliers else ""
+        pictures.append((numbers[camera], encoded, note))
     return sorted(pictures)
+
+
+def _encoded(content: bytes) -> str:
+    return base64.b64encode(content).decode() or "-"
 
 
 def _inliers(data: ReportData) -> defaultdict[str, bytes]:
@@ -226,14 +268,16 @@ def _inliers(data: ReportData) -> defaultdict[str, bytes]:
     inliers = defaultdict[str, bytes](bytes)
     for pair in data.record.pairs:
         pair_inliers = data.product_file(Task(GEOMETRY, (pair.left, pair.right)), "marks") or b""
-        inliers[pair.left] += pair_inliers[: len(pair_inliers) // 2]
-        inliers[pair.right] += pair_inliers[len(pair_inliers) // 2 :]
+        middle = len(pair_inliers) // 2
+        inliers[pair.left] += pair_inliers[:middle]
+        inliers[pair.right] += pair_inliers[middle:]
     return inliers
 
 
 def _keypoint_note(data: ReportData, frame: Task) -> str:
     """Return a note if the keypoints come from the reference's picture, as they do for a camera that has not moved; else ""."""
-    frame_receipt, receipt = data.receipt(frame), data.receipt(Task(FEATURES, frame.subject))
+    frame_receipt = data.receipt(frame)
+    receipt = data.receipt(Task(FEATURES, frame.subject))
     if not receipt or not frame_receipt or frame_receipt.digest in receipt.preimage.inputs.values():
         return ""
     night_note = f" of {data.reference.date}" if data.reference else ""
@@ -241,10 +285,24 @@ def _keypoint_note(data: ReportData, frame: Task) -> str:
 
 
 def _to_unit(camera: Mapping[str, Any]) -> Matrix:
-    K, width, height = camera["K"], camera["width"], camera["height"]
-    return [[value / width for value in K[0]], [value / height for value in K[1]], [0.0, 0.0, 1.0]]
+    """Return the matrix from rays of a camera to its picture as the unit square: K, with rows divided by width and height."""
+    K = camera["K"]
+    width = camera["width"]
+    height = camera["height"]
+    return [
+        [K[0][0] / width, K[0][1] / width, K[0][2] / width],
+        [K[1][0] / height, K[1][1] / height, K[1][2] / height],
+        [0.0, 0.0, 1.0],
+    ]
 
 
 def _from_unit(camera: Mapping[str, Any]) -> Matrix:
-    K, width, height = camera["K"], camera["width"], camera["height"]
-    return [[width / K[0][0], 0.0, -K[0][2] / K[0][0]], [0.0, height / K[1][1], -K[1][2] / K[1][1]], [0.0, 0.0, 1.0]]
+    """Return the matrix from a camera's picture as the unit square to its rays (K without skew)."""
+    K = camera["K"]
+    width = camera["width"]
+    height = camera["height"]
+    return [
+        [width / K[0][0], 0.0, -K[0][2] / K[0][0]],
+        [0.0, height / K[1][1], -K[1][2] / K[1][1]],
+        [0.0, 0.0, 1.0],
+    ]

@@ -16,9 +16,22 @@ Vector = tuple[float, float, float]
 Matrix = Sequence[Sequence[float]]
 
 _LEAST_UPRIGHT = 0.5
-"""The world's z axis is up if the cosine of its angle with the upward (-y) axis of every camera is above this."""
-_TRIMMED_SHARE, _MARGIN_SHARE = 0.1, 0.13
-"""Share of points left out of the extent at each end of an axis (far ones would shrink the site), and the margin then added."""
+"""The world's z axis is up if the cosine of its angle with the upward (-y) axis of every camera is above this.
+
+Larger: cameras that look steeply down tilt the world.  Smaller: a world that lies on its side counts as upright."""
+_LEAST_VECTOR = 1e-6
+"""Vectors shorter than this have no direction."""
+_LEAST_ALIKE = 0.25
+"""The directions from the cameras to the middle of the scene have a common one if their sum is at least this share of the sum of
+their lengths: cameras all around a scene have none."""
+_LEAST_VIEW_ALIKE = 0.1
+"""The same for the directions in which the cameras look."""
+_TRIMMED_SHARE = 0.1
+"""Share of the points that is left out of the extent at each end of an axis: far ones would make the site small."""
+_MARGIN_SHARE = 0.13
+"""Margin that is then added at each end, as a share of the extent."""
+_DEFAULT_SIZE = (4, 3)
+"""Width and height of the picture of a camera for which they are not known: only their ratio matters."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +88,17 @@ class Scene:
 
     def to_json(self) -> dict[str, Any]:
         """Return the input of the 3-D view."""
-        cameras = [vars(camera) for camera in self.cameras]
-        axes = {**vars(self.axes), "unit": self.unit, "place": self.place}
-        box = {"low": self.low, "high": self.high, "middle": self.middle, "radius": self.radius, "heading": -math.pi / 2}
-        return {"axes": axes, **box, "north": self.north, "cameras": cameras, "marks": self.objects}
+        return {
+            "axes": {**vars(self.axes), "unit": self.unit, "place": self.place},
+            "low": self.low,
+            "high": self.high,
+            "middle": self.middle,
+            "radius": self.radius,
+            "heading": -math.pi / 2,
+            "north": self.north,
+            "cameras": [vars(camera) for camera in self.cameras],
+            "marks": self.objects,
+        }
 
 
 def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
@@ -87,111 +107,191 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     Up is the world's z axis if it agrees with every camera's, else the opposite of the cameras' mean y axis.  The first view
     looks from the cameras to the points, along a world axis if the site is georeferenced.
     """
-    record, placements = data.record, data.placements
-    placed = [camera for camera in record.cameras if camera.id in placements]
+    record = data.record
+    placements = data.placements
+    placed: list[CameraRecord] = []
+    centres: list[Vector] = []
+    rotations: list[Matrix] = []
+    for camera in record.cameras:
+        if camera.id in placements:
+            entry, _ = placements[camera.id]
+            placed.append(camera)
+            centres.append(tuple(entry["C"]))
+            if entry.get("R"):
+                rotations.append(entry["R"])
     if not (sample or placed):
         return None
-    entries = [placements[camera.id][0] for camera in placed]
-    centres: list[Vector] = [tuple(entry["C"]) for entry in entries]
-    rotations: list[Matrix] = [entry["R"] for entry in entries if entry.get("R")]
-    if sample:
-        points, origin = sample, _median(sample)
-    elif points := _last_cloud(data):
-        origin = _sum(points, 1 / len(points))
-    else:
-        points, origin = centres, _median(centres)
+
+    # 1. The axes of the page: their origin is in the middle of the points, as far as there are any.
+    points, origin = _points_and_origin(data, sample, centres)
     crs = record.poses.crs if record.poses else ""
     axes = Axes(_rows(rotations, centres, origin, on_map=bool(crs)), origin)
+
+    # 2. What is in the scene.
     cameras = tuple(_camera(data, camera, axes) for camera in placed)
     objects = tuple(_objects(data, axes))
-    low, high = _box([axes.place(point) for point in points], _TRIMMED_SHARE if sample else 0.0)
-    middle, radius = _sum((low, high), 0.5), max(math.dist(low, high) / 2, 1e-6)
-    coordinates = list(zip(low, high, *(c.C for c in cameras), *(item["at"] for item in objects), strict=True))
-    extent = _vector(map(min, coordinates)), _vector(map(max, coordinates))
-    return Scene(axes, cameras, objects, *extent, middle, radius, data.unit, "N" if crs else "y", origin_of(crs))
+
+    # 3. How far it reaches: the box around most points is what the first view shows; the map holds all cameras and objects, too.
+    trimmed_share = _TRIMMED_SHARE if sample else 0.0
+    low, high = _box([axes.place(point) for point in points], trimmed_share)
+    middle = _sum((low, high), 0.5)
+    radius = max(math.dist(low, high) / 2, _LEAST_VECTOR)
+    corners = [low, high]
+    corners += [camera.C for camera in cameras]
+    corners += [item["at"] for item in objects]
+    by_axis = list(zip(*corners, strict=True))
+    north = "N" if crs else "y"
+    return Scene(
+        axes,
+        cameras,
+        objects,
+        _vector(min(values) for values in by_axis),
+        _vector(max(values) for values in by_axis),
+        middle,
+        radius,
+        data.unit,
+        north,
+        origin_of(crs),
+    )
+
+
+def _points_and_origin(data: ReportData, sample: list[Vector], centres: list[Vector]) -> tuple[list[Vector], Vector]:
+    """Return points that show how far the scene reaches, and its middle: of the cloud, the last cloud, or else the cameras."""
+    if sample:
+        return sample, _median(sample)
+    last_cloud = _last_cloud(data)
+    if last_cloud:
+        return last_cloud, _sum(last_cloud, 1 / len(last_cloud))
+    return centres, _median(centres)
 
 
 def _last_cloud(data: ReportData) -> list[Vector]:
     """Return the corners of the last cloud, so that a night without a cloud shows the same place from the same side."""
     for record in data.earlier:
         if record.cloud and record.poses and record.poses.metric:
-            return [(x, y, z) for x, y, z in itertools.product(*zip(*record.cloud.bounds, strict=True))]
+            (x0, y0, z0), (x1, y1, z1) = record.cloud.bounds
+            return list(itertools.product((x0, x1), (y0, y1), (z0, z1)))
     return []
-
-
-def _up(rotations: Sequence[Matrix]) -> Vector:
-    if all(-R[1][2] > _LEAST_UPRIGHT for R in rotations):
-        return 0.0, 0.0, 1.0
-    total = _sum([R[1] for R in rotations], -1.0)
-    return _unit(total if math.hypot(*total) > 1e-6 else _sum([rotations[0][1]], -1.0))
 
 
 def _rows(rotations: Sequence[Matrix], centres: Sequence[Vector], middle: Vector, on_map: bool) -> tuple[Vector, Vector, Vector]:
     """Return right, away and up: away points from the cameras to the middle, else where they look, else along y."""
-    up, view_axes = _up(rotations), [R[2] for R in rotations]
+    up = _up(rotations)
+    view_axes = [R[2] for R in rotations]
     to_middle = [_minus(middle, C) for C in centres]
     spread = sum(math.hypot(*vector) for vector in to_middle)
+
+    # The first of these directions that the cameras have in common, and that is not upright.
+    candidates = [
+        (_sum(to_middle), _LEAST_ALIKE * spread),
+        (_sum(view_axes), _LEAST_VIEW_ALIKE * len(view_axes)),
+        ((0.0, 1.0, 0.0), 0.0),
+    ]
     away: Vector = (1.0, 0.0, 0.0)
-    for vector, least in ((_sum(to_middle), 0.25 * spread), (_sum(view_axes), 0.1 * len(view_axes)), ((0.0, 1.0, 0.0), 0.0)):
+    for vector, least in candidates:
         horizontal = _minus(vector, _sum([up], _dot(vector, up)))
-        if math.hypot(*horizontal) > max(least, 1e-6):
+        if math.hypot(*horizontal) > max(least, _LEAST_VECTOR):
             away = _unit(horizontal)
             break
+
     if on_map:
+        # along the axis of the map that is nearest, so that north is at one of the four sides
         x, y, _ = away
-        away = (math.copysign(1, x), 0.0, 0.0) if abs(x) > abs(y) else (0.0, math.copysign(1, y), 0.0)
-    right = (away[1] * up[2] - away[2] * up[1], away[2] * up[0] - away[0] * up[2], away[0] * up[1] - away[1] * up[0])
-    return right, away, up
+        if abs(x) > abs(y):
+            away = (math.copysign(1, x), 0.0, 0.0)
+        else:
+            away = (0.0, math.copysign(1, y), 0.0)
+    return _cross(away, up), away, up
+
+
+def _up(rotations: Sequence[Matrix]) -> Vector:
+    # the second row of R is the camera's y axis, which points down in the picture
+    if all(-R[1][2] > _LEAST_UPRIGHT for R in rotations):
+        return 0.0, 0.0, 1.0
+    mean = _sum([R[1] for R in rotations], -1.0)
+    if math.hypot(*mean) > _LEAST_VECTOR:
+        return _unit(mean)
+    return _unit(_sum([rotations[0][1]], -1.0))
 
 
 def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
     entry, note = data.placements[camera.id]
-    C, state = axes.place(entry["C"]), state_of(camera, data.record)
-    words = "; ".join(filter(None, (camera.reason or (camera.health.text if camera.health else ""), note)))
+    C = axes.place(entry["C"])
+    state = state_of(camera, data.record)
+    reason = camera.reason
+    if not reason and camera.health:
+        reason = camera.health.text
+    words = "; ".join(text for text in (reason, note) if text)
     if not entry.get("R"):
         return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
-    R, K = entry["R"], entry.get("K")
-    width, height = entry.get("width") or 4, entry.get("height") or 3
-    fx, fy, cx, cy = (K[0][0], K[1][1], K[0][2], K[1][2]) if K else (width, width, width / 2, height / 2)
-    corners = ((0, 0), (width, 0), (width, height), (0, height))
-    columns = list(zip(*R, strict=True))
-    rays = tuple(_rotate(axes.rows, _rotate(columns, ((x - cx) / fx, (y - cy) / fy, 1.0))) for x, y in corners)
-    return SceneCamera(camera.id, C, rays, _rotate(axes.rows, R[2]), 2 * math.atan(height / 2 / fy), state, note, words)
+
+    width = entry.get("width") or _DEFAULT_SIZE[0]
+    height = entry.get("height") or _DEFAULT_SIZE[1]
+    K = entry.get("K") or [[width, 0, width / 2], [0, width, height / 2]]
+    fx = K[0][0]
+    fy = K[1][1]
+    R = entry["R"]
+    world_R_camera = list(zip(*R, strict=True))  # the transpose of R, whose rows are the camera's axes in the world
+    rays = []
+    for x, y in ((0, 0), (width, 0), (width, height), (0, height)):
+        ray = ((x - K[0][2]) / fx, (y - K[1][2]) / fy, 1.0)
+        rays.append(_rotate(axes.rows, _rotate(world_R_camera, ray)))
+    fov = 2 * math.atan(height / 2 / fy)
+    return SceneCamera(camera.id, C, tuple(rays), _rotate(axes.rows, R[2]), fov, state, note, words)
 
 
 def _objects(data: ReportData, axes: Axes) -> Iterator[dict[str, Any]]:
     since = data.since_last_good
     for name, change in data.record.changes.items():
-        at, size = axes.place((change.x, change.y, change.z)), math.hypot(change.length or 0.0, change.width or 0.0)
-        yield {"name": name, "kind": change.kind, "at": at, "size": size, "known": since is not None and name in since.known}
+        yield {
+            "name": name,
+            "kind": change.kind,
+            "at": axes.place((change.x, change.y, change.z)),
+            "size": math.hypot(change.length or 0.0, change.width or 0.0),
+            "known": since is not None and name in since.known,
+        }
 
 
 def _box(points: Sequence[Vector], share: float) -> tuple[Vector, Vector]:
     """Return two corners of the box around points; if a share is trimmed at each end of the axes, a margin is added."""
-    ordered, skipped = [sorted(values) for values in zip(*points, strict=True)], int(share * (len(points) - 1))
-    low, high = (_vector(values[k] for values in ordered) for k in (skipped, len(points) - 1 - skipped))
+    ordered = [sorted(values) for values in zip(*points, strict=True)]
+    skipped = int(share * (len(points) - 1))
+    low = _vector(values[skipped] for values in ordered)
+    high = _vector(values[len(points) - 1 - skipped] for values in ordered)
     margin = _sum([_minus(high, low)], _MARGIN_SHARE if share else 0.0)
     return _minus(low, margin), _sum((high, margin))
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return sum(x * y for x, y in zip(a, b, strict=True))
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        total += x * y
+    return total
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _rotate(rows: Matrix, point: Sequence[float]) -> Vector:
-    return _vector(_dot(row, point) for row in rows)
+    return _vector((_dot(rows[0], point), _dot(rows[1], point), _dot(rows[2], point)))
 
 
 def _minus(a: Sequence[float], b: Sequence[float]) -> Vector:
-    return _vector(x - y for x, y in zip(a, b, strict=True))
+    return _vector((a[0] - b[0], a[1] - b[1], a[2] - b[2]))
 
 
 def _sum(vectors: Sequence[Sequence[float]], factor: float = 1.0) -> Vector:
-    return _vector(factor * sum(vector[k] for vector in vectors) for k in range(3))
+    total = [0.0, 0.0, 0.0]
+    for vector in vectors:
+        for k in range(3):
+            total[k] += vector[k]
+    return _vector((factor * total[0], factor * total[1], factor * total[2]))
 
 
 def _median(points: Sequence[Vector]) -> Vector:
-    return _vector(sorted(values)[len(values) // 2] for values in zip(*points, strict=True))
+    by_axis = zip(*points, strict=True)
+    return _vector(sorted(values)[len(values) // 2] for values in by_axis)
 
 
 def _unit(a: Vector) -> Vector:
@@ -199,5 +299,6 @@ def _unit(a: Vector) -> Vector:
 
 
 def _vector(values: Iterable[float]) -> Vector:
+    # whole numbers of a file become floats, so that every vector is written alike
     x, y, z = map(float, values)
     return x, y, z

@@ -22,6 +22,9 @@ from . import render
 from .data import NIGHTS
 from .pictures import data_url
 
+_URGENCY = {"failed": 0, "degraded": 1}
+"""Order of sites by the level of their last night; sites with other levels follow."""
+
 
 @dataclass(frozen=True)
 class SiteRow:
@@ -38,14 +41,22 @@ class SiteRow:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The findings of the last night."""
-        verdict = self.nights[-1][0].verdict if self.nights else None
-        return verdict.findings if verdict else ()
+        if not self.nights:
+            return ()
+        last_night, _, _ = self.nights[-1]
+        if last_night.verdict is None:
+            return ()
+        return last_night.verdict.findings
 
     @property
     def order(self) -> tuple[int, str]:
         """Sort key: sites that need attention come first."""
-        level = "failed" if self.fault else self.nights[-1][1] if self.nights else ""
-        return ({"failed": 0, "degraded": 1}.get(level, 2), self.name)
+        level = ""
+        if self.fault:
+            level = "failed"
+        elif self.nights:
+            level = self.nights[-1][1]
+        return _URGENCY.get(level, len(_URGENCY)), self.name
 
 
 def site_files(places: Sequence[Path]) -> list[Path]:
@@ -53,16 +64,22 @@ def site_files(places: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for place in places:
         site_yaml = place / "site.yaml"
-        if not place.is_dir() or site_yaml.is_file():
-            files.append(site_yaml if place.is_dir() else place)
+        if not place.is_dir():
+            files.append(place)
+        elif site_yaml.is_file():
+            files.append(site_yaml)
         else:
-            files += [path for path in sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")]) if _describes_site(path)]
+            candidates = sorted([*place.glob("*.yaml"), *place.glob("*/site.yaml")])
+            files += filter(_describes_site, candidates)
+    # without repetitions, in this order
     return list(dict.fromkeys(files))
 
 
 def sites_page(places: Sequence[Path], out: Path) -> str:
     """Return the HTML page of all sites.  out: the file it will be written to; links are relative to it."""
-    rows = sorted((_site_row(file, out.resolve().parent) for file in site_files(places)), key=lambda row: row.order)
+    folder = out.resolve().parent
+    rows = [_site_row(file, folder) for file in site_files(places)]
+    rows.sort(key=lambda row: row.order)
     return render("sites.html", rows=rows)
 
 
@@ -79,14 +96,18 @@ def _site_row(file: Path, folder: Path) -> SiteRow:
     try:
         site = load_site(file)
         work = site.work_folder
-        by_night = {entry.run.date: entry for entry in (history(work) if work.run_ids() else []) if not entry.killed}
+        runs = history(work) if work.run_ids() else []
     except WbflowError as error:
         return SiteRow(file.parent.name, file, fault=str(error))
+    # of several runs of a night, the last one that ended counts
+    by_night = {entry.run.date: entry for entry in runs if not entry.killed}
     nights = []
-    for _, entry in sorted(by_night.items())[-NIGHTS:]:
+    for date in sorted(by_night)[-NIGHTS:]:
+        entry = by_night[date]
+        level = entry.verdict.level if entry.verdict else ""
         report = work.run(entry.run.run).report
         link = os.path.relpath(report, folder) if report.is_file() else ""
-        nights.append((entry, entry.verdict.level if entry.verdict else "", link))
+        nights.append((entry, level, link))
     return SiteRow(site.name, site.file, "", tuple(nights), _picture_url(work))
 
 
@@ -96,5 +117,9 @@ def _picture_url(work: WorkFolder) -> str:
         event = RunFolder.of(work, work.latest_good.name).tasks().get(task)
     except NoSuchRun:
         return ""
-    picture = Cache(work).product_file(task, event.key, "picture") if event and event.key else None
-    return data_url(picture) if picture else ""
+    if event is None or not event.key:
+        return ""
+    picture = Cache(work).product_file(task, event.key, "picture")
+    if not picture:
+        return ""
+    return data_url(picture)
