@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 
 from .change.cloud_distance import spacing_of
-from .change.clusters import ChangeCluster, GroundPoints, find_clusters, paired, points_over_ground
+from .change.clusters import ChangeCluster, Side, find_clusters
 from .change.evidence import Epoch, Evidence, compare_nights, mark_changed, noise_of, seen_by
+from .change.ground_points import TOP_QUANTILE, GroundPoints, points_over_ground
+from .change.standing import Standing, known_standing, with_hulls, with_ids
 from .change.volumes import detection_of, is_large_for, volumes
 from .contracts.ground_figures import UsedIds
 from .core.cameras import camera_id, project
@@ -29,6 +31,7 @@ from .types import (
     UNKNOWN,
     VANISHED,
     Camera,
+    Change,
     Changes,
     Cloud,
     DepthMap,
@@ -36,13 +39,12 @@ from .types import (
     Float64s,
     Frame,
     GroundGrid,
+    KnownPlace,
     Poses,
     Scene,
     Uint8s,
 )
 
-_TOP_QUANTILE = 0.9
-"""Quantile of the heights in a cell that counts as the height of its surface."""
 _LEAST_AREA = 300.0
 """Smallest surface area of a change in squared point spacings, unless `least_area_m2` states one."""
 _MOST_DISPLACEMENT = 0.01
@@ -101,13 +103,15 @@ def find_changes(
     cell_m : edge of the ground's cells in metres; None: twice the point spacing, rounded up to 1, 2 or 5 times a power of ten.
     """
     # Nights can only be compared in one world, and where both have a surface.
+    known = _known_of(previous, used_ids)
     cameras = poses.main_cameras()
-    axes = ground_axes(cameras.values(), scene.ground if scene is not None else None)
+    plane = scene.ground if scene is not None else None
     if reference_poses is None or reference_cloud is None or not len(reference_cloud.points) or not len(cloud.points):
-        return _no_changes(axes, poses)
+        return _no_changes(ground_axes(cameras.values(), plane), poses, known)
     old_cameras = reference_poses.main_cameras()
+    axes = ground_axes(old_cameras.values(), plane)  # those of the reference: they are the same every night
     if not _same_world(cameras, old_cameras, cloud):
-        return _no_changes(axes, poses)
+        return _no_changes(axes, poses, known)
     tonight = Epoch(cloud, cameras, undistorted_frames(frames, cameras), depths, refined or {})
     old_frames = undistorted_frames(reference_frames or {}, old_cameras)
     pinned = Epoch(reference_cloud, old_cameras, old_frames, reference_depths or {}, reference_refined or {})
@@ -117,9 +121,25 @@ def find_changes(
     grid = grid_over(sample, axes, cell_m or preferred_above(_CELL * spacing))
     least_area = _LEAST_AREA * spacing**2 if least_area_m2 is None else least_area_m2
     limits = _Limits(spacing, sigmas, registration_m, similar, least_area, zones or [])
-    given = max(previous.highest_id if previous is not None else 0, used_ids.highest if used_ids is not None else 0)
-    found = _compared(tonight, pinned, grid, limits, given)
+    found = _compared(tonight, pinned, grid, limits, known)
     return replace(found, metric=poses.metric, crs=poses.crs)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What earlier nights know."""
+
+    places: tuple[KnownPlace, ...]
+    highest_id: int
+    """Number of the highest id that they gave."""
+
+
+def _known_of(previous: Changes | None, used_ids: UsedIds | None) -> _Known:
+    """What earlier nights know; parameters as for `find_changes`."""
+    used = 0 if used_ids is None else used_ids.highest
+    if previous is None:
+        return _Known((), used)
+    return _Known(previous.places, max(previous.highest_id, used))
 
 
 @dataclass(frozen=True)
@@ -135,28 +155,31 @@ class _Limits:
     zones: list[dict[str, Any]]
 
 
-def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, given: int) -> Changes:
-    """The changes between two nights in one world; given: number of the highest id that other nights gave."""
+def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, known: _Known) -> Changes:
+    """The changes between two nights in one world."""
     # 1. Which points of each night have changed?
     measured_new, measured_old = compare_nights(tonight, pinned, limits.spacing, limits.registration)
     noise = noise_of(measured_new, measured_old)
 
-    def side(measured: Evidence, own: Epoch, other: Epoch) -> _Side:
+    def side(measured: Evidence, own: Epoch, other: Epoch) -> Side:
         evidence = mark_changed(measured, own, other, limits.spacing, noise=noise, sigmas=limits.sigmas, similar=limits.similar)
-        return _Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
+        return Side(own, evidence, own.cloud.colors[evidence.rows], points_over_ground(grid, own.points))
 
     new = side(measured_new, tonight, pinned)
     old = side(measured_old, pinned, tonight)
 
-    # 2. Clusters of these; a new one and a vanished one that are similar are a thing that was moved.
-    clusters = [
-        *_clusters_on(new, old, grid, limits, vanished=False),
-        *_clusters_on(old, new, grid, limits, vanished=True),
-    ]
-    confirmed = [cluster for cluster in clusters if cluster.confirmed]
-    pairs = sorted(paired(confirmed), key=lambda pair: -pair[0].change.volume)
+    # 2. Known changes take the points that belong to them; what is left forms new ones.
+    standing_new, unconfirmed_new = _standing(known, new, old, tonight, grid, limits, vanished=False)
+    standing_old, unconfirmed_old = _standing(known, old, new, tonight, grid, limits, vanished=True)
 
-    # 3. Volumes of the ground: all changes count, in zones or not, and unconfirmed ones as uncertainty.
+    # 3. What may be behind the seen surfaces.
+    standing_new = with_hulls(standing_new, new, old, grid, spacing=limits.spacing, similar=limits.similar)
+    standing_old = with_hulls(standing_old, old, new, grid, spacing=limits.spacing, similar=limits.similar)
+
+    # 4. Changes of tonight get ids: a new one and a vanished one that are similar are a thing that was moved, and have one.
+    standing, highest_id = with_ids([*standing_new, *standing_old], known.highest_id)
+
+    # 5. Volumes of the ground: all changes count, in zones or not, and unconfirmed ones as uncertainty.
     height_tonight = _surface_heights(grid, new.ground)
     height_before = _surface_heights(grid, old.ground)
     detection = detection_of(
@@ -166,46 +189,62 @@ def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, 
         registration=limits.registration,
         least_area=limits.least_area,
     )
-    counted = []
-    for cluster, source in pairs:
-        counted.append(cluster)
-        if source is not None:
-            counted.append(source)
-    counted += [cluster for cluster in clusters if not cluster.confirmed]
+    counted = [each.cluster for each in standing if each.cluster is not None]
+    counted += [*unconfirmed_new, *unconfirmed_old]
     total, by_zone = volumes(grid, (height_tonight, height_before), counted, limits.zones, detection)
 
-    # 4. Changes that a zone counts are reported.
+    # 6. Changes that a zone counts are reported.
     reported = []
-    for cluster, source in pairs:
-        labelled = _in_zone(cluster, limits.zones, grid.axes)
+    for change, parts in _by_id(standing):
+        labelled = _in_zone(change, limits.zones, grid.axes)
         if labelled is not None:
-            reported.append((labelled, source))
-    found = _assembled(grid, height_tonight - height_before, (new, old), reported, given)
-    return replace(found, cut_fill=total, zones=by_zone, noise=noise)
+            reported.append((labelled, parts))
+    found = _assembled(grid, height_tonight - height_before, (new, old), reported)
+    places = tuple(each.place for each in standing)
+    return replace(found, cut_fill=total, zones=by_zone, noise=noise, places=places, highest_id=highest_id)
 
 
-def _clusters_on(own: _Side, other: _Side, grid: GroundGrid, limits: _Limits, *, vanished: bool) -> list[ChangeCluster]:
-    """The changes that the changed points of one night form."""
-    return find_clusters(
-        own.evidence,
-        own.colors,
+def _standing(
+    known: _Known, own: Side, other: Side, tonight: Epoch, grid: GroundGrid, limits: _Limits, *, vanished: bool
+) -> tuple[list[Standing], list[ChangeCluster]]:
+    """The changes of one kind that stand tonight, new ones without an id, and clusters that are not confirmed."""
+    standing, groups = known_standing(
+        known.places,
+        own,
+        other,
+        tonight,
         grid,
+        spacing=limits.spacing,
+        least_area=limits.least_area,
+        vanished=vanished,
+    )
+    clusters = find_clusters(
+        own,
         other.ground,
+        grid,
+        groups,
         vanished=vanished,
         spacing=limits.spacing,
         least_area=limits.least_area,
         similar=limits.similar,
     )
+    standing += [Standing("", vanished, cluster, None) for cluster in clusters if cluster.confirmed]
+    return standing, [cluster for cluster in clusters if not cluster.confirmed]
 
 
-class _Side(NamedTuple):
-    """A night, compared with the other one."""
-
-    night: Epoch
-    evidence: Evidence
-    colors: Uint8s
-    """(n, 3) colours of the evidence's points."""
-    ground: GroundPoints
+def _by_id(standing: list[Standing]) -> list[tuple[Change, list[Standing]]]:
+    """The changes with all their places, the largest first: of a moved thing both, where it is now first."""
+    parts: dict[str, list[Standing]] = {}
+    for each in sorted(standing, key=lambda each: each.vanished):
+        parts.setdefault(each.id, []).append(each)
+    changes = []
+    for places in parts.values():
+        change = places[0].change
+        if len(places) > 1:
+            origin = places[1].change
+            change = replace(change, kind="moved", from_x=origin.x, from_y=origin.y, from_z=origin.z)
+        changes.append((change, places))
+    return sorted(changes, key=lambda entry: -entry[0].volume)
 
 
 def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera], cloud: Cloud) -> bool:
@@ -221,27 +260,22 @@ def _same_world(cameras: Mapping[str, Camera], old_cameras: Mapping[str, Camera]
     return float(np.median(displacements)) <= _MOST_DISPLACEMENT * extent
 
 
-def _in_zone(cluster: ChangeCluster, zones: list[dict[str, Any]], axes: Float64s) -> ChangeCluster | None:
+def _in_zone(change: Change, zones: list[dict[str, Any]], axes: Float64s) -> Change | None:
     """The change, labelled with the zone that contains it; None if no zone counts it."""
     if not zones:
-        return cluster
+        return change
     # The first zone that contains its place and counts a change of its size.
-    change = cluster.change
     x, y = axes[:2] @ (change.x, change.y, change.z)
     for zone in zones:
-        if inside_polygon(zone["polygon"], x, y) and is_large_for(cluster, zone):
-            return replace(cluster, change=replace(change, zone=str(zone.get("name", ""))))
+        if inside_polygon(zone["polygon"], x, y) and is_large_for(change, zone):
+            return replace(change, zone=str(zone.get("name", "")))
     return None
 
 
 def _assembled(
-    grid: GroundGrid,
-    difference: Float32s,
-    sides: tuple[_Side, _Side],
-    clusters: list[tuple[ChangeCluster, ChangeCluster | None]],
-    given: int,
+    grid: GroundGrid, difference: Float32s, sides: tuple[Side, Side], reported: list[tuple[Change, list[Standing]]]
 ) -> Changes:
-    """`Changes` with tonight's points and the reference's vanished or unknown ones; clusters: each with its origin, if moved."""
+    """`Changes` with tonight's points and the reference's vanished or unknown ones; reported: changes, and all their places."""
     new = sides[0].evidence
     old = sides[1].evidence
     # Number in the id of the change that each point of a night belongs to, 0 for none.
@@ -249,19 +283,22 @@ def _assembled(
     old_blob = np.zeros(len(old.core), np.uint16)
     changes = {}
     crops = {}
-    for number, (cluster, source) in enumerate(clusters, given + 1):
-        for part in (cluster, source):
-            if part is not None:
+    for change, parts in reported:
+        for part in parts:
+            if part.cluster is not None:
                 blob = old_blob if part.vanished else new_blob
-                blob[part.rows] = number
+                blob[part.cluster.rows] = int(change.id[1:])
+        cluster = parts[0].cluster
+        changes[change.id] = change
+        if cluster is None or not parts[0].seen:
+            continue
         # Cameras that see it are those of the night in which it was there.
         side = sides[1] if cluster.vanished else sides[0]
-        names = _seeing_cameras(side, cluster)
+        names = _seeing_cameras(side.night, cluster)
         camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
-        name = f"C{number}"
-        changes[name] = replace(cluster.change, id=name, cameras=",".join(camera_ids))
+        changes[change.id] = replace(change, cameras=",".join(camera_ids))
         if names:
-            crops[name] = _crop(side.evidence.core[cluster.rows], names[0], sides)
+            crops[change.id] = _crop(cluster.surface.points, names[0], sides)
     appeared = new_blob > 0
     vanished = old_blob > 0
     shown = vanished | (old.unknown & ~old.changed)
@@ -288,21 +325,18 @@ def _assembled(
         grid=grid,
         difference=difference,
         crops=crops,
-        highest_id=given + len(clusters),
         count=len(changes),
         changed_share=n_changed / max(1, n_known),
         unknown_share=float(np.mean(old.unknown)),
     )
 
 
-def _seeing_cameras(side: _Side, cluster: ChangeCluster) -> list[str]:
+def _seeing_cameras(night: Epoch, cluster: ChangeCluster) -> list[str]:
     """The cameras that see a change, the one that shows it largest first."""
-    night = side.night
-    X = side.evidence.core[cluster.rows]
-    sigma = night.sigma[side.evidence.rows[cluster.rows]]
+    X = cluster.surface.points
     candidates = []
     for name in night.seeing:
-        visible = seen_by(X, sigma, night, name)
+        visible = seen_by(X, cluster.surface.sigma, night, name)
         if visible.mean() >= _LEAST_SEEN_SHARE:
             x, _ = project(night.cameras[name], X[visible])
             # Size of its box in the image, less where parts are hidden; negative, so that the largest is first.
@@ -311,7 +345,7 @@ def _seeing_cameras(side: _Side, cluster: ChangeCluster) -> list[str]:
     return [name for _, name in sorted(candidates)]
 
 
-def _crop(X: Float64s, name: str, sides: tuple[_Side, _Side]) -> Uint8s:
+def _crop(X: Float64s, name: str, sides: tuple[Side, Side]) -> Uint8s:
     """(h, w, 3) the surroundings of points X in one camera, side by side: the reference's frame, then tonight's."""
     parts: list[Uint8s] = []
     gap = np.full((_CROP_PX, _CROP_GAP_PX, 3), 255, np.uint8)
@@ -339,12 +373,12 @@ def _crop(X: Float64s, name: str, sides: tuple[_Side, _Side]) -> Uint8s:
 
 def _surface_heights(grid: GroundGrid, night: GroundPoints) -> Float32s:
     """(rows, columns) heights of a night's surface; nan where unknown."""
-    heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, _TOP_QUANTILE)
+    heights = quantile_by_cell(night.cells, night.levels, grid.rows * grid.columns, TOP_QUANTILE)
     return heights.reshape(grid.rows, grid.columns).astype(np.float32)
 
 
-def _no_changes(axes: Float64s, poses: Poses) -> Changes:
-    """The result if there is nothing to compare with: no points, and a grid without cells."""
+def _no_changes(axes: Float64s, poses: Poses, known: _Known) -> Changes:
+    """The result if there is nothing to compare with: no points, and a grid without cells; what is known stays known."""
     no_values = np.zeros(0, np.float32)
     return Changes(
         False,
@@ -358,6 +392,8 @@ def _no_changes(axes: Float64s, poses: Poses) -> Changes:
         blob=np.zeros(0, np.uint16),
         grid=GroundGrid(axes, 0.0, 0.0, 1.0, 0, 0),
         difference=np.zeros((0, 0), np.float32),
+        places=known.places,
+        highest_id=known.highest_id,
         metric=poses.metric,
         crs=poses.crs,
     )

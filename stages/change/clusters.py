@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from ..core.ground_grid import cells_of, quantile_by_cell
+from ..core.ground_grid import cells_of
 from ..types import Bools, Change, Float64s, GroundGrid, Int64s, Uint8s
-from .evidence import CORE, Evidence
+from .evidence import CORE, Epoch, Evidence
 from .footprint import UNKNOWN_SHARE_SIGMA, Footprint, covered_shares
+from .ground_points import GroundPoints, fill_gaps, surface_below, tops
+from .hull import NOTHING_UNSEEN, UnseenParts
 
-_TOP_QUANTILE = 0.9
-"""Quantile of the heights in a cell that counts as its surface: one wrong point must not raise a roof."""
 _SAME_VOLUME = 0.3
 """Largest difference in volume between a moved thing at both places, as a share of the larger one.  A weak test: with few
 cameras, a vehicle and a stack may have the same volume."""
@@ -27,6 +27,9 @@ _SAME_HEIGHT = 0.25
 _SAME_LENGTH = 0.2
 """Largest difference in length, as a share of the larger one (measured on the yard: up to 0.07 for one thing, 0.28 or more for
 two)."""
+_MOST_UNSEEN = 1.0
+"""Largest volume of its unseen parts, as a share of the seen one, with which the size of a thing is known well enough to find it
+again elsewhere."""
 _SAME_COLOUR = 0.05
 """Largest difference between a moved thing's colours at both places, as shares of red and green."""
 _FOOT_SHARE = 0.25
@@ -47,31 +50,80 @@ vehicles become changes."""
 _EDGE_SPACINGS = 0.5
 """Error of edges for this ratio, in point spacings.  The volume's standard deviation takes a whole spacing: edges of matched
 surfaces are off by about a pixel, equally all around."""
+_SURE_SIGMAS = 1.96
+"""Standard deviations between the seen volume and either end of its interval: 95 % of normal errors lie within."""
 _NO_LIKENESS = -2.0
 """Likeness of a change whose images cannot be compared: below every correlation."""
 
 
 @dataclass(frozen=True)
+class Side:
+    """A night, compared with the other one."""
+
+    night: Epoch
+    evidence: Evidence
+    colors: Uint8s
+    """(n, 3) colours of the evidence's points."""
+    ground: GroundPoints
+    """The night's cloud over the ground."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Seen surface of a change: points of one or several nights; arrays are (n,) unless stated otherwise."""
+
+    points: Float64s
+    """(n, 3) points."""
+    sigma: Float64s
+    """Their standard deviations, world units."""
+    cleared: Float64s
+    """`Evidence.cleared` of the points."""
+
+
+@dataclass(frozen=True)
 class ChangeCluster:
-    """A change, and the core points of a night's evidence of which it consists."""
+    """A change: its surface, the ground that it covers, and the core points of tonight's evidence on it."""
 
     change: Change
     footprint: Footprint
+    surface: Surface
     rows: Int64s
-    """Rows of the evidence."""
+    """Rows of the evidence; empty for a change that tonight shows nothing of."""
     vanished: bool
     """True if the points are of the earlier night: the thing has vanished."""
     confirmed: bool
     """True if enough cameras saw through its place for a report; otherwise its volume only adds uncertainty."""
     colour: Float64s
     """(2,) mean shares of red and green."""
+    seen: bool = True
+    """False if it is carried on from earlier nights, and tonight knows nothing of it."""
+    unseen: UnseenParts = NOTHING_UNSEEN
+    """What unseen parts of it may fill."""
+
+
+def changed_groups(side: Evidence, grid: GroundGrid) -> Int64s:
+    """(rows, columns) number of the connected group of cells with changed points, 0 for others."""
+    cells = cells_of(grid, side.core[side.changed])
+    occupied = np.zeros((grid.rows, grid.columns), bool)
+    occupied.ravel()[cells[cells >= 0]] = True  # a view: the array is contiguous
+    # Close gaps of up to four cells; the margin keeps groups at the border of the grid whole.
+    closed = ndimage.binary_closing(np.pad(occupied, 3), iterations=2)[3:-3, 3:-3]
+    labels, _ = ndimage.label(closed | occupied, np.ones((3, 3)))  # corners connect, too
+    return np.asarray(labels, dtype=np.int64)
+
+
+def unchanged_cells(side: Evidence, grid: GroundGrid) -> Bools:
+    """(rows, columns) cells in which points were measured that have not changed."""
+    cells = cells_of(grid, side.core[side.measured & ~side.changed])
+    counts = np.bincount(cells[cells >= 0], minlength=grid.rows * grid.columns)
+    return np.asarray(counts.reshape(grid.rows, grid.columns) > 0)
 
 
 def find_clusters(
-    side: Evidence,
-    colors: Uint8s,
-    grid: GroundGrid,
+    own: Side,
     other: GroundPoints,
+    grid: GroundGrid,
+    groups: Int64s,
     *,
     vanished: bool,
     spacing: float,
@@ -84,36 +136,33 @@ def find_clusters(
 
     Parameters
     ----------
-    side, colors : evidence on one night's surface, and the colours (n, 3) of its core points.
-    grid, other : cells of the ground, and the other night's cloud over them.
+    own, other : the night, compared with the other one; and the other night's cloud over the ground.
+    grid : cells of the ground.
+    groups : (rows, columns) number of the group of changed cells that may be a change; 0 for none.
     vanished : True if that night is the earlier one, so that its changes have vanished.
     spacing : of the points.
     least_area : smallest surface area of a change.
     similar : median correlation of the images from which on a place has not changed.
     """
-    labels, count = _labelled_cells(side, grid)
-    changed_cells = np.where(side.changed, cells_of(grid, side.core), -1)
-    label_of_point = np.where(changed_cells >= 0, labels.ravel()[changed_cells], 0)
-    unchanged_cells = cells_of(grid, side.core[side.measured & ~side.changed])
-    unchanged = np.bincount(unchanged_cells[unchanged_cells >= 0], minlength=labels.size).reshape(labels.shape) > 0
+    side = own.evidence
+    label_of_point = groups_of_points(side, grid, groups)
+    unchanged = unchanged_cells(side, grid)
     clusters = []
-    for number in range(1, count + 1):
+    for number in np.unique(groups[groups > 0]):
         # 1. Is it large enough, and do cameras and images agree that something changed?
         rows = np.flatnonzero(label_of_point == number)
-        surface = len(rows) * (CORE * spacing) ** 2
-        if surface < least_area:
+        area = len(rows) * (CORE * spacing) ** 2
+        if area < least_area:
             continue
-        likeness = _NO_LIKENESS
-        correlations = side.ncc[rows][np.isfinite(side.ncc[rows])]
-        if len(correlations):
-            likeness = float(np.median(correlations))
+        likeness = likeness_of(side, rows)
         cleared = float(np.nanmean(side.cleared[rows]))
         if likeness >= similar or not cleared >= _LEAST_CLEARED_POSSIBLE:  # "not": cleared may be nan
             continue
 
         # 2. The ground that it covers.
         confirmed = cleared >= _LEAST_CLEARED
-        footprint = _footprint(side, rows, labels == number, unchanged, grid, other, spacing, trimmed=confirmed)
+        surface = surface_of(side, rows)
+        footprint = footprint_of(surface, groups == number, unchanged, grid, other, spacing, trimmed=confirmed)
         if footprint is None:
             continue
 
@@ -121,26 +170,43 @@ def find_clusters(
         measured = side.measured[rows]
         swept_volume = np.inf  # with too few distances, the volume that the surface has swept is unknown
         if measured.mean() > _LEAST_MEASURED:
-            swept_volume = surface * float(side.distance[rows][measured].mean())
-        change = _describe(side, rows, footprint, grid, spacing, swept_volume)
-        if change is None:
+            swept_volume = area * float(side.distance[rows][measured].mean())
+        if not _is_certain(surface, footprint, grid, spacing, swept_volume):
             continue
-        change = replace(change, kind="vanished" if vanished else "new", likeness=likeness)
-        mean_color = colors[rows].mean(axis=0)
-        colour = mean_color[:2] / max(float(mean_color.sum()), 1.0)
-        clusters.append(ChangeCluster(change, footprint, rows, vanished, confirmed, colour))
+        change = describe(surface, footprint, grid, spacing)
+        change = replace(
+            change,
+            kind="vanished" if vanished else "new",
+            likeness=likeness,
+            significance=float(np.median(side.significance[rows])),
+        )
+        clusters.append(ChangeCluster(change, footprint, surface, rows, vanished, confirmed, colour_of(own.colors[rows])))
     return clusters
 
 
-def _labelled_cells(side: Evidence, grid: GroundGrid) -> tuple[Int64s, int]:
-    """(rows, columns) number of the connected group of cells with changed points, 0 for others; and the number of groups."""
-    cells = cells_of(grid, side.core[side.changed])
-    occupied = np.zeros((grid.rows, grid.columns), bool)
-    occupied.ravel()[cells[cells >= 0]] = True  # a view: the array is contiguous
-    # Close gaps of up to four cells; the margin keeps groups at the border of the grid whole.
-    closed = ndimage.binary_closing(np.pad(occupied, 3), iterations=2)[3:-3, 3:-3]
-    labels, count = ndimage.label(closed | occupied, np.ones((3, 3)))  # corners connect, too
-    return labels, count
+def groups_of_points(side: Evidence, grid: GroundGrid, groups: Int64s) -> Int64s:
+    """(n,) number of the group that each core point belongs to, 0 for none; groups: (rows, columns), see `find_clusters`."""
+    cells = np.where(side.changed, cells_of(grid, side.core), -1)
+    return np.where(cells >= 0, groups.ravel()[cells], 0)
+
+
+def surface_of(side: Evidence, rows: Int64s) -> Surface:
+    """The surface that some core points show."""
+    return Surface(side.core[rows], side.sigma[rows], side.cleared[rows].astype(np.float64))
+
+
+def likeness_of(side: Evidence, rows: Int64s) -> float:
+    """Median correlation of the photographs at some core points; -2 if they cannot be compared."""
+    correlations = side.ncc[rows][np.isfinite(side.ncc[rows])]
+    if not len(correlations):
+        return _NO_LIKENESS
+    return float(np.median(correlations))
+
+
+def colour_of(colors: Uint8s) -> Float64s:
+    """(2,) mean shares of red and green of colours (n, 3), at least one."""
+    mean_color = colors.mean(axis=0)
+    return np.asarray(mean_color[:2] / max(float(mean_color.sum()), 1.0), dtype=np.float64)
 
 
 def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeCluster | None]]:
@@ -159,13 +225,8 @@ def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeClu
             origins[i] = j
 
     pairs: list[tuple[ChangeCluster, ChangeCluster | None]] = []
-    for i, j in sorted(origins.items()):
-        origin = vanished[j].change
-        change = replace(new[i].change, kind="moved", from_x=origin.x, from_y=origin.y, from_z=origin.z)
-        pairs.append((replace(new[i], change=change), vanished[j]))
     for i, cluster in enumerate(new):
-        if i not in origins:
-            pairs.append((cluster, None))
+        pairs.append((cluster, vanished[origins[i]] if i in origins else None))
     for j, cluster in enumerate(vanished):
         if j not in origins.values():
             pairs.append((cluster, None))
@@ -173,9 +234,11 @@ def paired(clusters: list[ChangeCluster]) -> list[tuple[ChangeCluster, ChangeClu
 
 
 def _match(cluster1: ChangeCluster, cluster2: ChangeCluster) -> bool:
-    """Have two changes the same size and colour?"""
+    """Have two changes the same size and colour, as far as they were seen?"""
     a = cluster1.change
     b = cluster2.change
+    if any(cluster.unseen.volume.sum() > _MOST_UNSEEN * cluster.change.volume for cluster in (cluster1, cluster2)):
+        return False
     same_colour = np.abs(cluster1.colour - cluster2.colour).max() <= _SAME_COLOUR
     return (
         _is_near(a.volume, b.volume, _SAME_VOLUME)
@@ -190,47 +253,39 @@ def _is_near(a: float, b: float, share: float) -> bool:
     return abs(a - b) <= share * max(a, b)
 
 
-@dataclass(frozen=True)
-class GroundPoints:
-    """Points over the cells of the ground grid; points outside it are left out."""
-
-    cells: Int64s
-    """(n,) index of the cell."""
-    levels: Float64s
-    """(n,) heights, world units."""
-
-
-def points_over_ground(grid: GroundGrid, points: Float64s) -> GroundPoints:
-    """The points (n, 3) that lie over the ground grid."""
-    cells = cells_of(grid, points)
-    inside = cells >= 0
-    return GroundPoints(cells[inside], points[inside] @ grid.axes[2])
-
-
-def _footprint(
-    side: Evidence, rows: Int64s, area: Bools, unchanged: Bools, grid: GroundGrid, other: GroundPoints, spacing: float, *,
+def footprint_of(
+    surface: Surface,
+    area: Bools,
+    unchanged: Bools,
+    grid: GroundGrid,
+    other: GroundPoints,
+    spacing: float,
+    *,
     trimmed: bool,
-) -> Footprint | None:  # fmt: skip
-    """The ground that changed points cover; None if the surface below is unknown, or if they hardly rise above it.
+) -> Footprint | None:
+    """The ground that a surface covers; None if what is below it is unknown, or if it hardly rises above that.
 
-    rows: of the evidence; area, unchanged: (rows, columns) cells of the change, and cells known to be unchanged; trimmed: leave
-    out points that too few cameras saw through.
+    Parameters
+    ----------
+    surface : its points, at least one, over the grid.
+    area, unchanged : (rows, columns) cells of the change, and cells known to be unchanged.
+    grid, other : cells of the ground, and the other night's cloud over them.
+    spacing : of the points.
+    trimmed : leave out points that too few cameras saw through.
     """
-    points = side.core[rows]
+    points = surface.points
     levels = points @ grid.axes[2]
     cells = cells_of(grid, points)
 
     # 1. The surface below, from the other night's points; those far above belong to something else.
     near = ndimage.binary_dilation(area, iterations=4)
-    lower = np.flatnonzero(near.ravel()[other.cells])
-    lower = lower[other.levels[lower] <= levels.max() + 2 * spacing]
-    if not len(lower):
+    base = surface_below(near, other, float(levels.max()) + 2 * spacing)
+    if base is None:
         return None
-    base = _fill_gaps(_tops(other.cells[lower], other.levels[lower], near.shape), near)
 
     # 2. Does the change rise above it, or is it a wall whose upper edge is noisy?
-    top = _tops(cells, levels, near.shape)
-    noise = float(np.median(side.sigma[rows]))
+    top = tops(cells, levels, near.shape)
+    noise = float(np.median(surface.sigma))
     typical_height = float(np.nanquantile(top - base, 0.9))
     if typical_height <= _CLEAR_SIGMAS * noise:
         return None
@@ -240,7 +295,7 @@ def _footprint(
     is_upper = levels >= highest - max(_UPPER_SHARE * typical_height, _CLEAR_SIGMAS * noise)
     is_cleared = is_upper
     if trimmed:
-        is_cleared = is_upper & ~(side.cleared[rows] < _LEAST_CLEARED)
+        is_cleared = is_upper & ~(surface.cleared < _LEAST_CLEARED)
     if not is_cleared.any():
         return None
 
@@ -249,8 +304,8 @@ def _footprint(
         covered, without_points = covered_shares(grid, points[chosen], unchanged, CORE * spacing)
         share = covered.ravel()
         unseen = without_points.ravel()
-        surface = _fill_gaps(_tops(cells[chosen], levels[chosen], near.shape), near)
-        height = (surface - base).ravel()
+        top_of_chosen = fill_gaps(tops(cells[chosen], levels[chosen], near.shape), near)
+        height = (top_of_chosen - base).ravel()
         ground_cells = np.flatnonzero((share > 0) & (height > _FOOT_SHARE * typical_height))
         unseen_volume = unseen[ground_cells] * height[ground_cells] * grid.cell**2
         return ground_cells, share[ground_cells], height[ground_cells], unseen_volume
@@ -269,30 +324,68 @@ def _footprint(
     return Footprint(ground_cells, share, base.ravel()[ground_cells], height, volume_sigma)
 
 
-def _tops(cells: Int64s, levels: Float64s, shape: tuple[int, ...]) -> Float64s:
-    """(rows, columns) height of the surface in each cell, from the heights of its points; nan without any."""
-    return quantile_by_cell(cells, levels, int(np.prod(shape)), _TOP_QUANTILE).reshape(shape)
+def with_unseen(cluster: ChangeCluster, unseen: UnseenParts, grid: GroundGrid, spacing: float) -> ChangeCluster:
+    """The change with the interval of its volume: its seen part, and what unseen parts may add.
 
+    The least volume is that below which points were seen, the most that of the seen part and all unseen ones together.
 
-def _describe(
-    side: Evidence, rows: Int64s, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float
-) -> Change | None:
-    """Place, size and volume of a change; None if the volume is hardly more than its error.
-
-    swept_volume: volume between both nights' surfaces along the normals; for a strip of wall it is less than by heights.
+    Parameters
+    ----------
+    cluster, unseen : the change, and what its unseen parts may fill.
+    grid, spacing : cells of the ground, and the spacing of the points.
     """
-    # 1. Is the volume certain?
+    change = cluster.change
+    seen_sigma = float(np.linalg.norm(errors_of(cluster.surface, cluster.footprint, grid, spacing)))
+    inferred = cluster.footprint.volume_sigma / UNKNOWN_SHARE_SIGMA
+    hidden = float(unseen.volume.sum())
+    change = replace(
+        change,
+        volume_sigma=float(np.linalg.norm([seen_sigma, cluster.footprint.volume_sigma, UNKNOWN_SHARE_SIGMA * hidden])),
+        volume_least=max(0.0, change.volume - inferred - _SURE_SIGMAS * seen_sigma),
+        volume_most=change.volume + hidden + _SURE_SIGMAS * seen_sigma,
+    )
+    return replace(cluster, change=change, unseen=unseen)
+
+
+def errors_of(surface: Surface, footprint: Footprint, grid: GroundGrid, spacing: float) -> tuple[float, float]:
+    """Standard deviations of a volume: that from the change's edges, and that from the noise of its surface.
+
+    Parameters
+    ----------
+    surface, footprint : of the change.
+    grid, spacing : cells of the ground, and the spacing of the points.
+    """
     is_covered = np.zeros((grid.rows, grid.columns), bool)
     is_covered.ravel()[footprint.cells] = True
-    noise = float(np.median(side.sigma[rows]))
-    volume = float((footprint.share * footprint.height).sum() * grid.cell**2)
     rim_length = float((is_covered & ~ndimage.binary_erosion(is_covered)).sum() * grid.cell)
     height = float(np.quantile(footprint.height, 0.9))
     area = float(footprint.share.sum() * grid.cell**2)
-    rim_error = spacing * rim_length * height
-    surface_error = area * noise
-    if min(volume, swept_volume) < _CERTAIN_RATIO * np.hypot(_EDGE_SPACINGS * rim_error, surface_error):
-        return None
+    return spacing * rim_length * height, area * float(np.median(surface.sigma))
+
+
+def _is_certain(surface: Surface, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float) -> bool:
+    """Is the volume clearly more than its error?
+
+    swept_volume: volume between both nights' surfaces along the normals; for a strip of wall it is less than by heights.
+    """
+    rim_error, surface_error = errors_of(surface, footprint, grid, spacing)
+    volume = min(footprint.volume(grid), swept_volume)
+    return volume >= _CERTAIN_RATIO * float(np.hypot(_EDGE_SPACINGS * rim_error, surface_error))
+
+
+def describe(surface: Surface, footprint: Footprint, grid: GroundGrid, spacing: float) -> Change:
+    """Place, size and volume of a change.
+
+    Parameters
+    ----------
+    surface, footprint, grid, spacing : the change, and the cells of the ground and spacing of the points.
+    """
+    # 1. The seen volume, and its standard deviation.
+    volume = footprint.volume(grid)
+    height = float(np.quantile(footprint.height, 0.9))
+    area = float(footprint.share.sum() * grid.cell**2)
+    rim_error, surface_error = errors_of(surface, footprint, grid, spacing)
+
     # 2. Length and width are those of the smallest rectangle around the centres of its cells; cells at the rim are half covered.
     row, column = np.divmod(footprint.cells, grid.columns)
     middle, sides_in_cells, _ = cv2.minAreaRect(np.column_stack([column, row]).astype(np.float32))
@@ -314,15 +407,6 @@ def _describe(
         area=area,
         volume=volume,
         volume_sigma=float(np.linalg.norm([rim_error, surface_error, footprint.volume_sigma])),
-        significance=float(np.median(side.significance[rows])),
         likeness=_NO_LIKENESS,
-        points=len(rows),
-        cameras="",
+        points=len(surface.points),
     )
-
-
-def _fill_gaps(values: Float64s, inside: Bools) -> Float64s:
-    """Values (rows, columns), with the nearest known value of the cells `inside` wherever these have none."""
-    known = np.isfinite(values) & inside
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(nearest)], dtype=np.float64)

@@ -39,6 +39,10 @@ class Footprint:
     volume_sigma: float
     """Standard deviation of the volume from cells that are covered but were not seen, and from seen points that are left out."""
 
+    def volume(self, grid: GroundGrid) -> float:
+        """Volume of the change above `base`, world units cubed."""
+        return float((self.share * self.height).sum() * grid.cell**2)
+
 
 def covered_shares(grid: GroundGrid, points: Float64s, unchanged: Bools, spacing: float) -> tuple[Float64s, Float64s]:
     """(rows, columns) share of each cell that a surface covers, and the part of this share where there are no points.

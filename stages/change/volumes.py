@@ -14,16 +14,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from ..core.ground_grid import cells_inside
-from ..types import Bools, CutFill, Float32s, GroundGrid
+from ..types import Bools, Change, CutFill, Float32s, GroundGrid
 from .clusters import ChangeCluster
 from .evidence import Evidence
 from .footprint import UNKNOWN_SHARE_SIGMA
+from .ground_points import seen_cells
 
-_GAP = 2
-"""Unseen cells within this many cells of seen ones, on either side, are gaps between points and count as seen."""
+_SURE_SIGMAS = 1.96
+"""Standard deviations of errors that all changes share, at either end of an interval: 95 % of normal errors lie within."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ def detection_of(tonight: Evidence, reference: Evidence, *, sigmas: float, regis
     return Detection(level, float(np.hypot(registration, shift)), least_area)
 
 
-def is_large_for(cluster: ChangeCluster, zone: Mapping[str, Any]) -> bool:
+def is_large_for(change: Change, zone: Mapping[str, Any]) -> bool:
     """Is a change large enough for a zone (`least_m`)?"""
-    return max(cluster.change.length, cluster.change.height) >= float(zone.get("least_m", 0.0))
+    return max(change.length, change.height) >= float(zone.get("least_m", 0.0))
 
 
 def volumes(
@@ -79,8 +79,8 @@ def volumes(
     zones : see `find_changes`.
     detection : detection limits of the comparison.
     """
-    seen_tonight = _seen_cells(tops[0])
-    seen_before = _seen_cells(tops[1])
+    seen_tonight = seen_cells(tops[0])
+    seen_before = seen_cells(tops[1])
     seen = seen_tonight & seen_before
     if not zones:
         everywhere = np.ones(seen.shape, bool)
@@ -91,24 +91,16 @@ def volumes(
     zone_masks = []
     for zone in zones:
         inside = cells_inside(grid, zone["polygon"])
-        large_enough = [cluster for cluster in clusters if is_large_for(cluster, zone)]
+        large_enough = [cluster for cluster in clusters if is_large_for(cluster.change, zone)]
         unseen = _unseen_area(grid, zone, inside, seen)
         by_zone[str(zone["name"])] = _cut_and_fill(grid, inside, seen, unseen, large_enough, detection)
         zone_masks.append(inside)
 
     # All zones together: places in several zones count once.
-    large_enough = [cluster for cluster in clusters if any(is_large_for(cluster, zone) for zone in zones)]
+    large_enough = [cluster for cluster in clusters if any(is_large_for(cluster.change, zone) for zone in zones)]
     unseen = sum(part.unseen for part in by_zone.values())
     anywhere = np.any(zone_masks, axis=0)
     return _cut_and_fill(grid, anywhere, seen, unseen, large_enough, detection), by_zone
-
-
-def _seen_cells(heights: Float32s) -> Bools:
-    """(rows, columns) cells that were seen, including gaps between points of up to twice `_GAP` cells."""
-    margin = _GAP + 1  # without one, cells at the border of the grid would be lost
-    padded = np.pad(np.isfinite(heights), margin)
-    closed = ndimage.binary_closing(padded, iterations=_GAP)
-    return np.asarray(closed[margin:-margin, margin:-margin], dtype=np.bool_)
 
 
 def _unseen_area(grid: GroundGrid, zone: Mapping[str, Any], inside: Bools, seen: Bools) -> float:
@@ -129,14 +121,18 @@ def _cut_and_fill(
     """Cut and fill of the cells inside (rows, columns); seen: on both nights; unseen: area that was not."""
     new = [cluster for cluster in clusters if not cluster.vanished]
     vanished = [cluster for cluster in clusters if cluster.vanished]
-    gained, gained_sigma = _volume(new, inside, grid, detection)
-    lost, lost_sigma = _volume(vanished, inside, grid, detection)
+    gained = _volume(new, inside, grid, detection)
+    lost = _volume(vanished, inside, grid, detection)
     area = float((seen & inside).sum() * grid.cell**2)
     return CutFill(
-        gained=gained,
-        gained_sigma=gained_sigma,
-        lost=lost,
-        lost_sigma=lost_sigma,
+        gained=gained.volume,
+        gained_sigma=gained.sigma,
+        lost=lost.volume,
+        lost_sigma=lost.sigma,
+        gained_least=gained.least,
+        gained_most=gained.most,
+        lost_least=lost.least,
+        lost_most=lost.most,
         level=detection.level,
         common_sigma=detection.common_sigma,
         area=area,
@@ -144,24 +140,56 @@ def _cut_and_fill(
     )
 
 
-def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> tuple[float, float]:
-    """Volume of the parts of changes that lie inside, and its standard deviation: at least the smallest detectable change.
+@dataclass(frozen=True)
+class _Volume:
+    """Volume of the parts of changes that lie inside an area, world units cubed."""
 
-    An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.
+    volume: float
+    sigma: float
+    """Its standard deviation: at least that of the smallest detectable change."""
+    least: float
+    most: float
+
+
+def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> _Volume:
+    """Volume of the parts of changes that lie inside.
+
+    An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.  One of which tonight knows
+    nothing adds the volume of earlier nights, and may be gone.
     """
     volume = 0.0
     area = 0.0
-    variance = (detection.least_area * detection.level) ** 2
+    least = 0.0
+    most = 0.0
+    variance = 0.0
     for cluster in clusters:
+        # 1. What was seen of it, as far as it lies inside.
         footprint = cluster.footprint
         change = cluster.change
         share = np.where(inside.ravel()[footprint.cells], footprint.share, 0.0)
         part_volume = float((share * footprint.height).sum() * grid.cell**2)
+        part = part_volume / max(change.volume, 1e-9)
         if not cluster.confirmed:
             variance += (UNKNOWN_SHARE_SIGMA * part_volume) ** 2
+            most += part_volume
             continue
         volume += part_volume
         area += float(share.sum() * grid.cell**2)
-        variance += (change.volume_sigma * part_volume / max(change.volume, 1e-9)) ** 2
+
+        # 2. What was not: most of it adds to the interval.
+        unseen_inside = float(cluster.unseen.volume[inside.ravel()[cluster.unseen.cells]].sum())
+        variance += (change.volume_sigma * part) ** 2
+        most += part * (change.volume_most - float(cluster.unseen.volume.sum())) + unseen_inside
+        if cluster.seen:
+            least += part * change.volume_least
+        else:
+            variance += (UNKNOWN_SHARE_SIGMA * part_volume) ** 2
+
     # Errors of changes are independent; the height offset is the same everywhere, and counts with the whole area.
-    return volume, float(np.sqrt(variance + (area * detection.common_sigma) ** 2))
+    common = float(np.hypot(detection.least_area * detection.level, area * detection.common_sigma))
+    return _Volume(
+        volume=volume,
+        sigma=float(np.hypot(np.sqrt(variance), common)),
+        least=max(0.0, least - _SURE_SIGMAS * common),
+        most=most + _SURE_SIGMAS * common,
+    )

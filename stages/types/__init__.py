@@ -10,6 +10,7 @@ from .dense import INVALID, MOST_PARTNERS, Cloud, DepthMap, Disparity, GroundOfP
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Changes, Coverage, GroundGrid
 from .health import CameraHealth, ShiftHistory
 from .pairs import Geometry, Matches, Overlap, at_rows
+from .places import Hull, KnownPlace
 from .site import LensSigma, Poses, Scene
 from .views import PLAIN, TILTED, Camera, Features, Frame, View
 
@@ -41,9 +42,11 @@ __all__ = [
     "Geometry",
     "GroundGrid",
     "GroundOfPair",
+    "Hull",
     "Int16s",
     "Int32s",
     "Int64s",
+    "KnownPlace",
     "Lens",
     "LensSigma",
     "Matches",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from ..contracts.ground_figures import Change, ChangesFigures, CoverageFigures, CutFill
 from ..contracts.short_repr import Record
 from .arrays import Float32s, Float64s, Uint8s, Uint16s
+from .places import KnownPlace
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class Changes(Record):
     """Volumes of each zone, by name."""
     noise: float = 1.0
     """Factor by which distances without a change exceed the points' own standard deviations."""
+    places: tuple[KnownPlace, ...] = field(default=(), metadata={"figure": False})
+    """What later nights need to recognise these changes, also those that no zone counts."""
     highest_id: int = 0
     """Number of the highest id that was given up to this night (17 for C17): ids are never given again."""
     metric: bool = True

@@ -44,9 +44,13 @@ class BoxNight:
         return {prefix + name: value for name, value in found.items()}
 
 
-def cameras(count: int = 4) -> dict[str, Camera]:
-    """Cameras on an arc around the south of the yard, 7 m high."""
-    turns = np.radians(np.linspace(-50, 50, count))
+FRONT_DEG = (-50.0, -50.0 / 3, 50.0 / 3, 50.0)
+"""Directions of the cameras around the yard, counter-clockwise from south."""
+
+
+def cameras(turns_deg: Sequence[float] = FRONT_DEG) -> dict[str, Camera]:
+    """Cameras on an arc around the yard, 7 m high."""
+    turns = np.radians(turns_deg)
     places = [(10 * float(np.sin(a)), -10 * float(np.cos(a)), 7.0) for a in turns]
     return {f"c{k}": _smaller(camera_at(place, (0.0, 0.5, 0.3))) for k, place in enumerate(places)}
 
@@ -63,7 +67,7 @@ def box_night(
     noise: float = SIGMA,
     brightness: float = 1.0,
     blind: Sequence[str] = (),
-    count: int = 4,
+    turns_deg: Sequence[float] = FRONT_DEG,
 ) -> BoxNight:
     """A night of the yard: its ground, its wall, and boxes.
 
@@ -77,11 +81,11 @@ def box_night(
         Factor on the grey values of the images.
     blind
         Cameras that have no depth.
-    count
-        Number of cameras.
+    turns_deg
+        Directions of the cameras around the yard, counter-clockwise from south.
     """
     rng = np.random.default_rng(seed)
-    views = cameras(count)
+    views = cameras(turns_deg)
     frames, depths, parts = {}, {}, []
     for name, camera in views.items():
         X, normals, which = _hit(camera, [WALL, *boxes])
