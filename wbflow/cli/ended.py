@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ExitCode
+from ..records.changes import change_words, count_words, open_changes
 from ..records.record import NO_SCALE, STATE_SCALE
 from ..verdict.consequences import consequences
+from ..words import counted
 from .common import echo
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from ..records.record import RunRecord
 
 LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
-"""Printed text of each verdict level."""
+"""Printed text of each verdict level on a night on which nothing has changed."""
 MOST_FINDINGS = 20
 """Largest number of findings that are printed; the report has all."""
 MOST_ALIKE = 4
@@ -32,12 +34,12 @@ DEBUGGABLE = {"fault", "too-slow", "worker-lost", "out-of-memory"}
 def print_night(finished: Run, quiet: bool) -> None:
     """Print a night: its verdict first.
 
-    Everything goes to stdout.  With `quiet`, only the verdict and the findings of a night whose exit code is not 0 are printed,
-    on stderr: cron mails them, and stdout stays empty for programs.
+    Everything goes to stdout.  With `quiet`, only the verdict and the findings are printed, on stderr, if the exit code is not 0
+    or if something has changed that nobody has acknowledged: cron mails them, and stdout stays empty for programs.
     """
     record = finished.record
     if quiet:
-        if record.exit_code:
+        if record.exit_code or open_changes(record):
             print_findings(record, err=True)
         return
     print_findings(record, err=False)
@@ -60,7 +62,8 @@ def print_findings(record: RunRecord, err: bool) -> None:
     if verdict is None:
         return
     scale = f"; {NO_SCALE}" if record.unscaled else ""
-    echo(f"{record.site}, night of {record.date}: {LEVELS[verdict.level]}{scale}", err=err, level=verdict.level)
+    line = f"{record.site}, night of {record.date}: {_level_words(record, verdict.level)}{scale}"
+    echo(line, err=err, level=verdict.level, indent=2)
     following = consequences(record)
     others = [finding for finding in verdict.findings if finding not in following]
     left_out = {camera.id for camera in record.cameras if not camera.ok}
@@ -72,6 +75,17 @@ def print_findings(record: RunRecord, err: bool) -> None:
     if following:
         echo(f"  which leaves {'; '.join(finding.text for finding in following)}", err=err, indent=6)
     _print_findings(others[cause_count:], err)
+
+
+def _level_words(record: RunRecord, level: str) -> str:
+    """Return the level of a night, and what has changed: "good, 1 change: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0"."""
+    changes = change_words(record)
+    if changes:
+        count = count_words(record)
+        return f"{level}, {f'{count}: ' if count else ''}{changes}"
+    acknowledged = len(record.changes)
+    note = f"; {counted(acknowledged, 'change')} acknowledged" if acknowledged else ""
+    return f"{LEVELS[level]}{note}"
 
 
 def _print_findings(findings: Sequence[Finding], err: bool) -> None:
@@ -90,12 +104,13 @@ def print_table(records: Sequence[RunRecord]) -> None:
     """Print several nights, one to a line."""
     echo("")
     width = max(len(record.site) for record in records)
-    echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding")
+    echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding, or what has changed")
     for record in records:
         level = record.verdict.level if record.verdict else "failed"
         findings = record.verdict.findings if record.verdict else ()
         points = f"{record.cloud.points:,}" if record.cloud else "-"
-        line = f"{record.site:{width}}  {record.date:10}  {level:8}  {points:>11}  {findings[0] if findings else ''}"
+        reason = findings[0] if findings else change_words(record)
+        line = f"{record.site:{width}}  {record.date:10}  {level:8}  {points:>11}  {reason}"
         echo(line.rstrip(), level=level, fold=True)
 
 
@@ -118,6 +133,9 @@ def next_step(finished: Run, site: Path) -> str:
                 return about + finding.remedy.replace("SITE.yaml", file)
     if record.exit_code:
         return f"look at the report, or: wbflow check {file}"
+    changes = open_changes(record)
+    if changes:
+        return f"look at the report; if {changes[0].id} may stay: wbflow acknowledge {file} {changes[0].id} --note WHY"
     if len(finished.cache.work.run_ids()) > 1:
         return f"wbflow compare {file}"
     return f"wbflow export {file} --mesh --out mesh"

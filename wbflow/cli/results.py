@@ -42,16 +42,17 @@ def report(site: Path, run_id: str | None, work: str | None) -> None:
 @click.command()
 @common.site_argument
 @common.json_option
-@click.option("--changes", is_flag=True, help="Volumes of each zone, and every change from its first night to its last.")
-@click.option("--csv", is_flag=True, help="The same as a table for spreadsheets.")
+@click.option("--changes", is_flag=True, help="Every change from its first night to its last, and the volumes of each zone.")
+@click.option("--csv", is_flag=True, help="With --changes: volumes night by night, as a table for spreadsheets.")
 @common.work_option
 def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | None) -> None:
-    """List all runs.  Each with time, duration, tasks cached/ran/failed, cloud size, exit code, verdict and first finding.
+    """List all runs.  Each with night, seconds, tasks (cached/ran/failed), points, exit code, verdict; below, what was found.
 
     \b
     wbflow history site.yaml
     wbflow history site.yaml --json
-    wbflow history site.yaml --changes --csv      cut and fill since the reference, night after night
+    wbflow history site.yaml --changes            every change with its first and last night, also those that are gone
+    wbflow history site.yaml --changes --csv      the same night by night, with cut and fill since the reference
     """
     from ..records.history import as_csv, compared_nights, growth
     from ..records.history import history as entries
@@ -74,13 +75,19 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
         return
     if not past_runs:
         stop(ExitCode.GOOD, f"{loaded.name} has no runs yet: wbflow run {site}")
-    head = f"{'wall s':>8} {'CPU s':>8} {'cached':>6} {'ran':>5} {'rejected':>8} {'failed':>6}"
-    echo(f"{'run':17} {'night':10} {head} {'points':>11} exit  verdict")
+    echo(f"{'night':10} {'run':16} {'seconds':>7} {'tasks':>11} {'points':>10} exit verdict")
+    reason = ""
     for entry in past_runs:
         row = entry.run
+        tasks = f"{row.cached}/{row.ran}/{row.failed}"
         points = f"{row.points:,}" if row.points else "-"
-        figures = f"{row.wall:8.1f} {row.cpu:8.1f} {row.cached:6} {row.ran:5} {row.rejected:8} {row.failed:6}"
-        echo(f"{row.run:17} {row.date:10} {figures} {points:>11} {row.exit_code:4}  {entry.words}".rstrip())
+        figures = f"{row.wall:7.1f} {tasks:>11} {points:>10} {row.exit_code:4}"
+        is_same = bool(entry.reason) and entry.reason == reason
+        words = f"{entry.words}, as before" if is_same else entry.words
+        echo(f"{row.date:10} {row.run:16} {figures} {words}".rstrip(), level=entry.verdict.level if entry.verdict else "")
+        if entry.reason and not is_same:
+            echo(f"           {entry.reason}", indent=11)
+        reason = entry.reason
 
 
 def _print_things(site: Site, nights: Sequence[RunRecord]) -> None:
@@ -135,22 +142,26 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
 @click.argument("nights", metavar="[SITE.yaml] [RUN_A RUN_B]", type=common.PATH, nargs=-1, required=True)
 @click.option("--out", type=common.PATH, default=Path("deviation"), metavar="DIR", help="Folder for the deviation from a scan.")
 @click.option("--page", type=common.PATH, metavar="FILE", help="Write a page with both nights in one view.")
-@click.option("--changes", is_flag=True, help="Also find what changed between them: volumes gained and lost, of each zone, too.")
+@click.option("--changes", is_flag=True, help="Compare the clouds of both with each other, instead of each with the reference.")
+@click.option("--figures", is_flag=True, help="Also print all figures that differ by more than noise.")
 @common.json_option
 @common.work_option
-def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: bool, as_json: bool, work: str | None) -> None:
-    """Compare two nights, or a night with a scan.  Prints what differs by more than noise.
+def compare(
+    nights: tuple[Path, ...], out: Path, page: Path | None, changes: bool, figures: bool, as_json: bool, work: str | None
+) -> None:
+    """Compare two nights, or a night with a scan.  Prints what has changed, and how the nights differ.
 
     \b
     wbflow compare SITE.yaml                           the newest run, and the newest good one before it
+    wbflow compare SITE.yaml --figures                 also all figures of cameras and pairs that differ
     wbflow compare SITE.yaml 2026-11-18 2026-11-19     runs by night, by id, or latest, latest-good
     wbflow compare RUN_A RUN_B                         folders of two runs, of any sites
-    wbflow compare SITE.yaml --changes                 also cut and fill between them
+    wbflow compare SITE.yaml --changes                 cut and fill between them
     wbflow compare SITE.yaml latest-good latest --page both.html
     wbflow compare SITE.yaml [RUN] scan.laz            the cloud's deviation from a scan or model
     """
     from ..cache.atomic import write_atomic
-    from ..commands.compare import changes_between, data_of, differing, lines_of
+    from ..commands.compare import changed_lines, changed_since, changes_between, data_of, differing, lines_of
     from ..commands.compare import compare as rows_of
 
     if len(nights) > 3:
@@ -171,14 +182,22 @@ def compare(nights: tuple[Path, ...], out: Path, page: Path | None, changes: boo
         echo(page, err=True)
     change_data = {"changes": data_of(found)} if found else {}
     if as_json:
-        echo_json({"a": earlier.id, "b": later.id, "rows": [row.to_json() for row in rows], **change_data})
+        since = changed_since(earlier.record, later.record)
+        data = {"a": earlier.id, "b": later.id, "changed": since.to_json() if since else None}
+        echo_json({**data, "rows": [row.to_json() for row in rows], **change_data})
         return
+    # 1. what has changed: from cloud to cloud if that was asked for, else as both nights saw it since the reference
+    for line in lines_of(change_data["changes"]) if changes else changed_lines(earlier.record, later.record):
+        echo(line, indent=4)
+    # 2. how the nights differ
+    technical = [row for row in differing(rows) if row.technical]
     for row in differing(rows):
-        echo(row)
+        if figures or not row.technical:
+            echo(row)
     if len(differing(rows)) == 3:
         echo("nothing else differs by more than noise")
-    if found:
-        echo("\n".join(lines_of(change_data["changes"])))
+    elif technical and not figures:
+        echo(f"and {counted(len(technical), 'figure')} of stages, cameras and pairs: --figures lists them")
 
 
 def _two_runs(site: Site | None, nights: tuple[Path, ...]) -> tuple[Run, Run]:

@@ -16,6 +16,7 @@ from ..errors import UsageError, WbflowError
 from ..json_dataclass import read_json
 from ..pipeline.meanings import titled
 from ..pipeline.stages import CHANGES, DEPTH, FRAMES, POSES, REFINE
+from ..pipeline.summaries import RecordedChange, volume_words
 from ..plugins import load
 from ..records.finished_run import Run
 from ..records.record import CameraRecord, PairRecord, RunRecord
@@ -30,6 +31,9 @@ NOISE_OF_SHARES = 0.03
 NOISE_OF_TIME = 0.25
 """Smaller relative differences are ignored between times in seconds."""
 
+_WIDTH = 22
+"""Width of the columns of both runs, so that a row fits into 80."""
+
 Value = int | float | str | None
 
 
@@ -43,6 +47,8 @@ class Row:
     b: Value
     noise: float = field(default=NOISE, kw_only=True)
     """Figures count as equal up to this difference, as a share of the larger one."""
+    technical: bool = field(default=False, kw_only=True)
+    """Is it for those who know the stages, rather than what a user sees of a night?"""
 
     @property
     def change(self) -> float | None:
@@ -63,7 +69,10 @@ class Row:
 
     def __str__(self) -> str:
         change = f"{100 * self.change:+.0f} %" if self.change is not None and self.differs else ""
-        return f"{self.what:32} {_formatted(self.a):>24}   {_formatted(self.b):24} {change}".rstrip()
+        a, b = _formatted(self.a), _formatted(self.b)
+        if max(len(a), len(b)) > _WIDTH:  # a text: one below the other
+            return f"{self.what}\n  {a}\n  {b}"
+        return f"{self.what:26} {a:>{_WIDTH}}  {b:{_WIDTH}} {change}".rstrip()
 
     def to_json(self) -> dict[str, Any]:
         change = None if self.change is None else round(self.change, 4)
@@ -81,14 +90,82 @@ def compare(a: RunRecord, b: RunRecord) -> list[Row]:
         Row("cameras", *(sum(camera.ok for camera in record.cameras) for record in both), noise=0.0),
         Row("pairs of cameras", *(sum(pair.ok for pair in record.pairs) for record in both), noise=0.0),
         *_site_rows(a, b),
-        Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), noise=NOISE_OF_TIME),
-        Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), noise=NOISE_OF_TIME),
+        Row("wall seconds", round(a.seconds.wall, 1), round(b.seconds.wall, 1), noise=NOISE_OF_TIME, technical=True),
+        Row("CPU seconds", round(a.seconds.cpu, 1), round(b.seconds.cpu, 1), noise=NOISE_OF_TIME, technical=True),
     ]
-    rows += [Row(f"tasks {name}", count, vars(b.tasks)[name], noise=0.0) for name, count in vars(a.tasks).items()]
+    for name, count in vars(a.tasks).items():
+        rows.append(Row(f"tasks {name}", count, vars(b.tasks)[name], noise=0.0, technical=True))
     for records_a, records_b in ((_by_name(a.cameras), _by_name(b.cameras)), (_by_name(a.pairs), _by_name(b.pairs))):
         for name in dict.fromkeys([*records_a, *records_b]):
             rows += _subject_rows(name, records_a.get(name), records_b.get(name))
     return rows
+
+
+@dataclass(frozen=True)
+class ChangedSince:
+    """What changed between two nights, as both saw it since one reference."""
+
+    came: tuple[RecordedChange, ...]
+    """Changes that only the later night has."""
+    gone: tuple[RecordedChange, ...]
+    """Changes that only the earlier night has: all is as in the reference again."""
+    grown: tuple[tuple[RecordedChange, RecordedChange], ...]
+    """Changes whose volume differs for certain: on the earlier and on the later night."""
+    same: tuple[str, ...]
+    """Ids of the others."""
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "came": [change.to_json() for change in self.came],
+            "gone": [change.to_json() for change in self.gone],
+            "grown": [[before.to_json(), after.to_json()] for before, after in self.grown],
+            "same": list(self.same),
+        }
+
+
+def changed_since(a: RunRecord, b: RunRecord) -> ChangedSince | None:
+    """Return what changed between two nights; None if they have no reference in common."""
+    if b.compared is None or b.reference not in {a.reference, a.run} or (a.compared is None and a.run != b.reference):
+        return None
+    before, after = a.changes, b.changes
+    grown: list[tuple[RecordedChange, RecordedChange]] = []
+    same: list[str] = []
+    for name in before.keys() & after.keys():
+        is_apart = after[name].volume_least > before[name].volume_most or after[name].volume_most < before[name].volume_least
+        if is_apart:
+            grown.append((before[name], after[name]))
+        else:
+            same.append(name)
+    return ChangedSince(
+        came=tuple(change for name, change in after.items() if name not in before),
+        gone=tuple(change for name, change in before.items() if name not in after),
+        grown=tuple(sorted(grown, key=lambda pair: _number_of(pair[0].id))),
+        same=tuple(sorted(same, key=_number_of)),
+    )
+
+
+def _number_of(name: str) -> tuple[int, str]:
+    """Return what sorts ids: C2 before C17."""
+    return len(name), name
+
+
+def changed_lines(a: RunRecord, b: RunRecord) -> Iterator[str]:
+    """Yield what changed between two nights, as lines of text."""
+    found = changed_since(a, b)
+    if found is None:
+        yield "what changed is unknown: both nights have no reference in common"
+        return
+    if not found.came and not found.gone and not found.grown:
+        yield f"nothing changed between {a.date} and {b.date}"
+    for change in found.came:
+        yield f"{change.id} {change.words(b.unit)}; {change.volume_words(b.unit)}"
+    for change in found.gone:
+        yield f"{change.id} gone: {change.words(a.unit)}; {change.volume_words(a.unit)}"
+    for before, after in found.grown:
+        verb = "has grown" if after.volume_least > before.volume_most else "has shrunk"
+        yield f"{after.id} {verb}: {before.volume_words(a.unit)}, now {after.volume_words(b.unit)}; {after.words(b.unit)}"
+    if found.same:
+        yield f"{', '.join(found.same)} as before"
 
 
 def differing(rows: list[Row]) -> list[Row]:
@@ -113,18 +190,21 @@ def _site_rows(a: RunRecord, b: RunRecord) -> Iterator[Row]:
     for stage in (stage for stage in a.results if stage in b.results):
         results = a.results[stage], b.results[stage]
         for name, values in _common_figures(*results).items():
-            yield Row(f"{stage}: {titled(name)}", *values)
+            yield Row(f"{stage}: {titled(name)}", *values, technical=True)
         for zone in (zone for zone in results[0].volumes if zone in results[1].volumes):
             for what in ("gained", "lost"):
                 where = f" in {zone}" if zone else ""
-                yield Row(f"{stage}: {what}{where}", *(getattr(result.volumes[zone], what) for result in results))
+                volumes = (getattr(result.volumes[zone], what) for result in results)
+                yield Row(f"{stage}: {what}{where}", *volumes, technical=True)
 
 
 def _subject_rows(name: str, a: CameraRecord | PairRecord | None, b: CameraRecord | PairRecord | None) -> list[Row]:
     """The outcome of a camera or pair, and its figures if both runs used it."""
-    rows = [Row(name, _outcome(a), _outcome(b))]
+    is_pair = isinstance(a or b, PairRecord)
+    rows = [Row(name, _outcome(a), _outcome(b), technical=is_pair)]
     if a and b and a.ok and b.ok:
-        rows += [Row(f"{name} {figure}", *values) for figure, values in _common_figures(a.figures, b.figures).items()]
+        for figure, values in _common_figures(a.figures, b.figures).items():
+            rows.append(Row(f"{name} {figure}", *values, technical=True))
     return rows
 
 
@@ -209,9 +289,12 @@ def lines_of(data: Mapping[str, Any]) -> Iterator[str]:
     unit = "m" if data["unit"] == "m" else "units"
     parts = {"": data.get("cut_fill"), **data["zones"]}
     for zone, part in ((zone, read_json(CutFill, part)) for zone, part in parts.items() if part):
-        volumes = f"gained {part.gained:.2f} ± {part.gained_sigma:.2f}, lost {part.lost:.2f} ± {part.lost_sigma:.2f} {unit}³"
+        gained = volume_words((part.gained_least, part.gained_most), (part.gained, part.gained_sigma), unit)
+        lost = volume_words((part.lost_least, part.lost_most), (part.lost, part.lost_sigma), unit)
+        volumes = f"gained {gained}, lost {lost}"
         ground = f"{part.area:,.0f} {unit}² seen on both, {part.unseen:,.0f} not; level of detection {part.level:.3f} {unit}"
         yield f"{zone or 'whole site'}: {volumes}; {ground}"
     for change in data["changes"]:
         place = ", ".join(f"{value:.1f}" for value in change["position"])
-        yield f"{change['kind']} at {place}: {change['volume']:.2f} ± {change['volume_sigma']:.2f} {unit}³"
+        interval = (change["volume_least"], change["volume_most"])
+        yield f"{change['kind']} at {place}: {volume_words(interval, (change['volume'], change['volume_sigma']), unit)}"

@@ -49,19 +49,22 @@ def open_changes(record: RunRecord) -> list[RecordedChange]:
     return sorted(unacknowledged, key=lambda change: change.news != record.date)
 
 
-def night_words(record: RunRecord) -> str:
-    """Return what has changed on a night, in a line; "" if nothing has, or if everything is acknowledged.
+def count_words(record: RunRecord) -> str:
+    """Return how many changes of a night nobody has acknowledged, as in "2 changes"; "" if there are none."""
+    count = len(open_changes(record))
+    return counted(count, "change") if count else ""
 
-    For example "2 changes: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02 6.1 x 2.4 x 2.6 m at 4.0, 7.5".
+
+def change_words(record: RunRecord) -> str:
+    """Return the changes of a night that nobody has acknowledged, and those that are gone, in a line; "" if there are none.
+
+    For example "C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02, 6.1 x 2.4 x 2.6 m at 4.0, 7.5; C2 gone".
     """
     told = open_changes(record)
-    words = ""
-    if told:
-        texts = [f"{change.id} {change.words(record.unit, record.date)}" for change in told[:MOST_TOLD]]
-        if len(told) > MOST_TOLD:
-            texts.append(f"and {len(told) - MOST_TOLD} more")
-        words = f"{counted(len(told), 'change')}: {'; '.join(texts)}"
-    gone = ", ".join(record.compared.gone if record.compared else ())
+    texts = [f"{change.id} {change.words(record.unit, record.date)}" for change in told[:MOST_TOLD]]
+    if len(told) > MOST_TOLD:
+        texts.append(f"and {len(told) - MOST_TOLD} more")
+    gone = record.compared.gone if record.compared else {}
     if gone:
-        words += f"{'; ' if words else ''}{gone} gone"
-    return words
+        texts.append(f"{', '.join(gone)} gone")
+    return "; ".join(texts)

@@ -11,14 +11,13 @@ from typing import Any
 from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import RecordedChange, volume_words
+from .changes import change_words, count_words
 from .findings import Verdict
 from .killed_runs import KilledRun, killed_runs
 from .ledger import Ledger, LedgerRun
 from .record import RunRecord, moment
 from .run_folder import last_of_nights, newest_runs
 
-MOST_WORDS = 80
-"""Longest text of a run's verdict in a line, in characters."""
 KILLED_CODE = 137
 """Exit code of a killed run, as a shell reports it (128 + SIGKILL)."""
 
@@ -34,18 +33,21 @@ class Entry:
     """Has its folder been removed?"""
     killed: KilledRun | None = None
     """How far it came, if it was killed or crashed; it has no folder then."""
+    changes: str = ""
+    """How many changes nobody has acknowledged: "2 changes"; "" for none."""
+    reason: str = ""
+    """The first finding, and what has changed, in a line; how far a killed run came; "" for none."""
 
     @property
     def words(self) -> str:
-        """The verdict in words: the level, and the first finding."""
+        """The verdict in words: the level, and how much has changed."""
         if self.killed:
-            return self.killed.words
+            return "killed"
         if self.cleaned:
             return "cleaned"
         if self.verdict is None:
             return ""
-        words = f"{self.verdict.level}: {self.verdict.findings[0]}" if self.verdict.findings else self.verdict.level
-        return words if len(words) <= MOST_WORDS else f"{words[: MOST_WORDS - 3]}..."
+        return f"{self.verdict.level}, {self.changes}" if self.changes else self.verdict.level
 
     def to_json(self) -> dict[str, Any]:
         verdict = self.verdict.to_json() if self.verdict else None
@@ -54,12 +56,23 @@ class Entry:
 
 def history(work: WorkFolder) -> list[Entry]:
     """Return every run, oldest first; also those that were killed."""
-    verdicts = {folder.id: record.verdict for folder, record in newest_runs(work)}
+    records = {folder.id: record for folder, record in newest_runs(work)}
     with Ledger(work) as ledger:
         runs = ledger.runs()
-    entries = [Entry(run, verdicts.get(run.run), cleaned=not work.run(run.run).record.exists()) for run in runs]
-    entries += [Entry(_ledger_run(killed), None, cleaned=False, killed=killed) for killed in killed_runs(work)]
+    entries = [_entry(run, records.get(run.run), cleaned=not work.run(run.run).record.exists()) for run in runs]
+    for killed in killed_runs(work):
+        entries.append(Entry(_ledger_run(killed), None, cleaned=False, killed=killed, reason=killed.words))
     return sorted(entries, key=lambda entry: entry.run.run)
+
+
+def _entry(run: LedgerRun, record: RunRecord | None, cleaned: bool) -> Entry:
+    if record is None:
+        return Entry(run, None, cleaned)
+    reasons = [str(finding) for finding in record.verdict.findings[:1]] if record.verdict else []
+    changes = change_words(record)
+    if changes:
+        reasons.append(changes)
+    return Entry(run, record.verdict, cleaned, changes=count_words(record), reason="; ".join(reasons))
 
 
 def _ledger_run(killed: KilledRun) -> LedgerRun:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from .changes import open_changes
 from .record import RunRecord, moment
 
 Rows = list[tuple[dict[str, str], float]]
@@ -39,6 +40,7 @@ def _gauges(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
     pairs = Counter(pair.outcome for pair in record.pairs)
     yield "camera_pairs", "Pairs of cameras by outcome.", [({"outcome": outcome}, count) for outcome, count in pairs.items()]
     yield from _gauges_of_volumes(record)
+    yield from _gauges_of_changes(record)
     tasks = record.tasks.to_json()
     yield "tasks", "Tasks by outcome.", [({"outcome": outcome}, count) for outcome, count in tasks.items()]
     seconds = record.seconds
@@ -50,16 +52,38 @@ def _gauges(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
 
 def _gauges_of_volumes(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
     """Yield volumes, their standard deviations, and areas; without rows for a site without a metric scale."""
-    volumes, sigmas, areas = Rows(), Rows(), Rows()
+    volumes, sigmas, bounds, areas = Rows(), Rows(), Rows(), Rows()
     results = record.results.values() if record.poses and record.poses.metric else ()
     for zone, part in ((zone, part) for result in results for zone, part in result.volumes.items()):
         labels = {"zone": zone} if zone else {}
         volumes += [({**labels, "change": "gained"}, part.gained), ({**labels, "change": "lost"}, part.lost)]
         sigmas += [({**labels, "change": "gained"}, part.gained_sigma), ({**labels, "change": "lost"}, part.lost_sigma)]
+        for side in ("gained", "lost"):
+            for bound in ("least", "most"):
+                bounds.append(({**labels, "change": side, "bound": bound}, getattr(part, f"{side}_{bound}")))
         areas += [({**labels, "seen": "yes"}, part.area), ({**labels, "seen": "no"}, part.unseen)]
     yield "volume_cubic_metres", "Volumes gained and lost since the reference, by zone (none: the whole site).", volumes
     yield "volume_sigma_cubic_metres", "Standard deviation of the volumes.", sigmas
+    yield "volume_bound_cubic_metres", "Intervals that hold the volumes.", bounds
     yield "compared_square_metres", "Ground that was seen on both nights, and that was not.", areas
+
+
+def _gauges_of_changes(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
+    """Yield the number of changes, and the interval that holds the volume of each."""
+    counts, volumes = Rows(), Rows()
+    if record.compared:
+        changes = record.changes.values()
+        unacknowledged = len(open_changes(record))
+        counts.append(({"state": "open"}, unacknowledged))
+        counts.append(({"state": "acknowledged"}, len(changes) - unacknowledged))
+        counts.append(({"state": "new"}, sum(change.first == record.date for change in changes)))
+        counts.append(({"state": "gone"}, len(record.compared.gone)))
+    for change in record.changes.values() if record.unit else ():
+        labels = {"id": change.id, "kind": change.kind, "zone": change.zone}
+        volumes.append(({**labels, "bound": "least"}, change.volume_least))
+        volumes.append(({**labels, "bound": "most"}, change.volume_most))
+    yield "changes", "Changes since the reference: open and acknowledged ones; new and gone ones of this night.", counts
+    yield "change_cubic_metres", "Interval that holds the volume of a change.", volumes
 
 
 _ESCAPES = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})

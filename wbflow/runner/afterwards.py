@@ -15,7 +15,7 @@ from ..reference.create import fit_to_pin, pin
 from ..site.models import Site
 from ..words import format_size
 from .journal import Journal
-from .notify import NotifyFailed, notify
+from .notify import NotifyFailed, notify, notify_changes
 
 
 def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
@@ -31,11 +31,12 @@ def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
     event_count = len(journal.events)
     index(run, site, journal)
     is_news = RunFolder.of(run.cache.work).id == run.id
-    if send and is_news and site.settings.notify:
-        try:
-            notify(site.settings.notify, site.folder, run)
-        except (NotifyFailed, OSError) as error:
-            journal.warn(str(error), remedy="the command is called again after the next run")
+    for send_message in (notify, notify_changes) if send and is_news else ():
+        if site.settings.notify:
+            try:
+                send_message(site.settings.notify, site.folder, run)
+            except (NotifyFailed, OSError) as error:
+                journal.warn(str(error), remedy="the command is called again after the next run")
     with contextlib.suppress(OSError):  # a full disk: there is a warning already
         for event in journal.events[event_count:]:
             run.run_folder.add(event)

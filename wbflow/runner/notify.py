@@ -2,7 +2,8 @@
 
 The command is called once for each state of degraded and failed nights (the level, and kinds and subjects of the findings),
 again when a state has lasted for a duration of `remind`, and once for the first good night after them; with `heartbeat`, also
-after every other night.  A command that fails or hangs does not affect the night, and is called again after the next run.
+after every other night.  Whatever the verdict, it is also called once for changes that are new or have grown.  A command that
+fails or hangs does not affect the night, and is called again after the next run.
 """
 
 from __future__ import annotations
@@ -12,21 +13,24 @@ import os
 import signal
 import subprocess
 import tempfile
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePath
 from typing import Any, Literal
 
 from ..cache.checksum import Damaged, read_checksummed, write_checksummed
 from ..cache.layout import RunPaths, WorkFolder
 from ..errors import WbflowError
 from ..json_dataclass import JsonDataclass
+from ..pipeline.summaries import RecordedChange
+from ..records.changes import open_changes
 from ..records.findings import Verdict
 from ..records.finished_run import Run
 from ..records.record import RunRecord, moment
-from ..site.models import Notify
-from ..words import format_duration
+from ..site.models import Notify, NotifyChanges
+from ..words import counted, format_duration
 
-Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat"]
+Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat", "changed"]
 
 MOST_WORDS = 300
 """Longest summary, in characters."""
@@ -51,6 +55,8 @@ class _Reported(JsonDataclass):
     """When the first degraded or failed run since the last good night ended (UTC); "": there is none."""
     reminders: int = 0
     """Number of reminders of this state that have been sent."""
+    changes: Mapping[str, str] = field(default_factory=dict)
+    """By id of a change that was reported: the night (ISO 8601) on which it was new, or had grown."""
 
 
 _ACKNOWLEDGED = "acknowledged"
@@ -73,11 +79,46 @@ def notify(config: Notify, folder: Path, run: Run) -> Occasion | None:
         duration = ""
         if occasion in {"recovered", "reminder"}:
             duration = format_duration(_seconds(state.bad_since, now))
-        _call(config, folder, _message(occasion, duration, run.run_folder.paths, record))
+        recovered = last.state[1:] if occasion == "recovered" else ()
+        message = _message(occasion, summary(record, duration, recovered), run.run_folder.paths, record)
+        message["lasted"] = duration
+        message["recovered"] = list(recovered)
+        _call(config, folder, message)
     # only after the call: if it fails, the next run calls again
     if state != last:
         write_checksummed(work.notified, _FILE_KIND, state.to_json())
     return occasion
+
+
+def notify_changes(config: Notify, folder: Path, run: Run) -> list[str]:
+    """Call the command for the changes of a published run that are new, or have grown, and that nobody has acknowledged.
+
+    Returns their ids.  folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the
+    command's output; the changes are then reported after the next run.
+    """
+    work = run.cache.work
+    record = run.record
+    if not config.changes or not record.compared:
+        return []
+    last = _last_reported(work)
+    news = []
+    for change in open_changes(record):
+        if _is_wanted(change, config.changes) and last.changes.get(change.id, "") < change.news:
+            news.append(change)
+    if news:
+        _call(config, folder, _message_of_changes(news, run.run_folder.paths, record))
+    # only after the call; those that are gone are forgotten
+    reported = {name: night for name, night in last.changes.items() if name in record.changes}
+    reported |= {change.id: change.news for change in news}
+    if reported != last.changes:
+        write_checksummed(work.notified, _FILE_KIND, replace(last, changes=reported).to_json())
+    return [change.id for change in news]
+
+
+def _is_wanted(change: RecordedChange, wanted: NotifyChanges) -> bool:
+    """Does the site file want to hear of a change?"""
+    largest = max(change.volume_most, change.volume)  # a function of the site's own may give no interval
+    return largest >= wanted.min_volume and (wanted.zones is None or change.zone in wanted.zones)
 
 
 def _last_reported(work: WorkFolder) -> _Reported:
@@ -107,12 +148,12 @@ def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: No
     if not bad_since and not is_acknowledged:
         bad_since = now
     if state != last.state:
-        return _Reported(state, now, bad_since)
+        return _Reported(state, now, bad_since, changes=last.changes)
     if not state or is_acknowledged:
         return last
     since = last.since or now
     due = sum(_seconds(since, now) >= seconds for seconds in config.remind)
-    return _Reported(state, since, bad_since, max(due, last.reminders))
+    return _Reported(state, since, bad_since, max(due, last.reminders), last.changes)
 
 
 def _occasion(last: _Reported, state: _Reported, verdict: Verdict, config: Notify) -> Occasion | None:
@@ -134,12 +175,17 @@ def _seconds(begin: str, end: str) -> float:
     return (moment(end) - moment(begin)).total_seconds()
 
 
-def summary(record: RunRecord, duration: str = "") -> str:
-    """A run in one line, for the subject of a message.  duration: how long the site has been, or was, degraded or failed."""
+def summary(record: RunRecord, duration: str = "", recovered: Sequence[str] = ()) -> str:
+    """A run in one line, for the subject of a message.
+
+    duration: how long the site has been, or was, degraded or failed.  recovered: kinds and subjects of findings that are no more.
+    """
     verdict = record.verdict or Verdict("good")
     line = f"{record.site} {record.date}: {verdict.level}"
     if duration:
         line += f", back after {duration}" if verdict.good else f", for {duration}"
+    if recovered:
+        line += f"; no more {', '.join(recovered)}"
     if verdict.findings:
         line += f": {verdict.findings[0]}"
     if len(verdict.findings) > 1:
@@ -147,10 +193,32 @@ def summary(record: RunRecord, duration: str = "") -> str:
     return _on_a_line(line)
 
 
-def _message(occasion: Occasion, duration: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
-    """What the command reads from its input, as JSON."""
+def _message_of_changes(news: Sequence[RecordedChange], run: RunPaths, record: RunRecord) -> dict[str, Any]:
+    """The message about changes: text, size, place, volume and pictures of each."""
+    texts = []
+    entries = []
+    for change in news:
+        text = change.words(record.unit, record.date)
+        texts.append(f"{change.id} {text}, {change.volume_words(record.unit)}")
+        entries.append({**change.to_json(), "text": text, "pictures": _pictures_of(change, run, record)})
+    line = _on_a_line(f"{record.site} {record.date}: {counted(len(news), 'change')}: {'; '.join(texts)}")
+    message = _message("changed", line, run, record)
+    message["changes"] = entries
+    message["open"] = len(open_changes(record))
+    message["picture"] = next((picture for entry in entries for picture in entry["pictures"]), "")
+    return message
+
+
+def _pictures_of(change: RecordedChange, run: RunPaths, record: RunRecord) -> list[str]:
+    """The paths of the published pictures of a change."""
+    files = record.compared.files if record.compared else ()
+    return [str(run.folder / name) for name in files if PurePath(name).stem.split("-")[:2] == ["change", change.id]]
+
+
+def _message(occasion: Occasion, line: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
+    """What the command reads from its input, as JSON.  line: its summary."""
     message: dict[str, Any] = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
-    message |= {"summary": summary(record, duration), "lasted": duration}
+    message |= {"summary": line, "lasted": ""}
     if record.verdict:
         message |= record.verdict.to_json()
     message["exit_code"] = int(record.exit_code)

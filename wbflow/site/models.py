@@ -369,11 +369,22 @@ Duration = Annotated[float, BeforeValidator(_parse_duration, json_schema_input_t
 """Seconds; written 30min, 1h or 1d in the file."""
 
 
+class NotifyChanges(Section):
+    """Which changes the command is called for."""
+
+    min_volume: float = Field(default=0.0, ge=0)
+    """Those that may have at least this volume, cubic metres: the upper end of the interval counts."""
+    zones: Annotated[list[str], Field(min_length=1)] | None = None
+    """Those in the zones of these names; null: all."""
+
+
 class Notify(Section):
     """The command that is called after a night."""
 
     command: str | list[str]
     """Text for the shell, or a list of program and arguments."""
+    changes: NotifyChanges | Literal[False] = NotifyChanges()
+    """Which changes it is called for, once they are new or have grown; false: none."""
     heartbeat: bool = False
     """Whether the command is called after every night, even if nothing has changed."""
     remind: list[Duration] = []

@@ -24,7 +24,7 @@ from ..words import format_size, number
 from .calibration.calibrated import Lens
 from .models import Camera, SiteFile, StageSettings
 from .polygons import area, crossing, diameter
-from .yaml_document import Problems
+from .yaml_document import Problems, suggest
 
 WIDEST_PINHOLE_DEG = 170.0
 """No pinhole (or brown) lens sees more, nor is calibrated that far; focal lengths in millimetres give 179 degrees."""
@@ -82,6 +82,7 @@ def check_plausibility(
     _check_distances(file, cameras, problems)
     _check_control_points(file, cameras, doubts)
     _check_zones(file, problems, doubts)
+    _check_zones_to_notify(file, problems)
     _check_expectations(file, doubts)
     _check_notify(file, problems.document.path.resolve().parent, doubts)
     _check_parameters(stages, reader, problems, doubts)
@@ -347,6 +348,16 @@ def _check_zones(file: SiteFile, problems: Problems, doubts: Problems) -> None:
             corner = f"{zone.polygon[0][0]:g}, {zone.polygon[0][1]:g}"
             what = f"zone {zone.name} at {corner} is outside the bounds: nothing is found there"
             doubts.add(location, what, "move the zone, or extend bounds")
+
+
+def _check_zones_to_notify(file: SiteFile, problems: Problems) -> None:
+    """The zones for whose changes somebody is notified must exist."""
+    wanted = file.notify.changes if file.notify else False
+    names = [zone.name for zone in file.zones or []]
+    for k, name in enumerate((wanted.zones or []) if wanted else []):
+        if name not in names:
+            remedy = suggest(name, names, f"name zones of `zones:`: {', '.join(names) or 'there are none'}")
+            problems.add(("notify", "changes", "zones", k), f"there is no zone {name!r}", remedy)
 
 
 def _overlap(polygon: Sequence[Sequence[float]], bounds: Sequence[Sequence[float]]) -> bool:

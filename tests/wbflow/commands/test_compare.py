@@ -16,10 +16,10 @@ from tests.helpers.toy_site import ToySite
 from tests.wbflow.verdict.test_rules import NAMES, camera, lost, night, without
 from wbflow.cache.layout import WorkFolder
 from wbflow.cli.main import main
-from wbflow.commands.compare import Row, compare, differing
-from wbflow.pipeline.summaries import ChangesSummary, CoverageSummary
+from wbflow.commands.compare import Row, changed_lines, compare, differing
+from wbflow.pipeline.summaries import CameraFigures, ChangesSummary, CoverageSummary, PosesSummary, RecordedChange
 from wbflow.records.record import RunRecord
-from wbflow.records.run_folder import UnfinishedRun
+from wbflow.records.run_folder import RunFolder, UnfinishedRun
 
 
 @pytest.mark.parametrize(
@@ -101,10 +101,79 @@ def test_a_comparison_is_available_as_json(past: Callable[..., str]) -> None:
 def test_history_lists_the_verdict_of_each_night(past: Callable[..., str]) -> None:
     lines = past("history").splitlines()
     assert lines[0].endswith("verdict")
-    assert lines[1].endswith("0  good")
-    assert lines[3].endswith("3  degraded: 40,000 points, 40 % of the usual 100,500")
+    assert lines[1].endswith("0 good")
+    assert lines[3].endswith("3 degraded")
+    assert lines[4].strip() == "40,000 points, 40 % of the usual 100,500"
+    assert max(map(len, lines)) <= 80
     entries = json.loads(past("history", "--json"))
     assert [entry["verdict"]["level"] for entry in entries] == ["good", "good", "degraded"]
+
+
+def test_history_says_a_reason_once_for_nights_in_a_row(past: Callable[..., str], tmp_path: Path) -> None:
+    work = WorkFolder.default_for(tmp_path / "site.yaml", "yard")
+    for date in ("2026-11-21", "2026-11-22"):
+        record = replace(RunFolder.of(work).record(), date=date, run=f"{date.replace('-', '')}T031500Z")
+        UnfinishedRun(work, record.run).publish(record, [], "<html>")
+    lines = past("history").splitlines()
+    assert [line.split(" 3 ")[-1] for line in lines[3:]] == [
+        "degraded",
+        "           40,000 points, 40 % of the usual 100,500",
+        "degraded, as before",
+        "degraded, as before",
+    ]
+
+
+PILE = RecordedChange("new", 11.3, 15.0, length=2.0, width=1.4, height=2.6, volume_least=4.2, volume_most=26.0, id="C17")
+VAN = replace(PILE, id="C2", x=28.3, first="2026-11-18")
+STACK = RecordedChange("vanished", 6.8, 20.8, length=1.8, width=0.7, height=4.2, volume_least=2.0, volume_most=3.0, id="C1")
+REFERENCE = "20261101T031500Z"
+
+
+def with_changes(record: RunRecord, *changes: RecordedChange, reference: str = REFERENCE) -> RunRecord:
+    found = ChangesSummary(compared=True, changes={change.id: change for change in changes})
+    return replace(record, reference=reference, results={"changes": found}, poses=PosesSummary())
+
+
+def test_a_comparison_says_what_changed_by_ids() -> None:
+    a = with_changes(night("2026-11-18"), STACK, replace(VAN, id="C3"), VAN)
+    grown = replace(VAN, volume_least=30.0, volume_most=41.0)
+    b = with_changes(night("2026-11-19"), PILE, grown, replace(VAN, id="C3", volume_most=24.0))
+    assert list(changed_lines(a, b)) == [
+        "C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; 4.2 to 26.0 m³",
+        "C1 gone: vanished 1.8 x 0.7 x 4.2 m at 6.8, 20.8; 2.0 to 3.0 m³",
+        "C2 has grown: 4.2 to 26.0 m³, now 30.0 to 41.0 m³; new 2.0 x 1.4 x 2.6 m at 28.3, 15.0",
+        "C3 as before",
+    ]
+    assert list(changed_lines(b, b)) == ["nothing changed between 2026-11-19 and 2026-11-19", "C2, C3, C17 as before"]
+
+
+def test_a_comparison_with_the_night_of_the_reference_lists_all_changes() -> None:
+    first = replace(night("2026-11-01"), reference=None)
+    assert first.run == REFERENCE
+    assert list(changed_lines(first, with_changes(night("2026-11-19"), STACK))) == [
+        "C1 vanished 1.8 x 0.7 x 4.2 m at 6.8, 20.8; 2.0 to 3.0 m³"
+    ]
+    other = with_changes(night("2026-11-18"), STACK, reference="20261015T031500Z")
+    assert list(changed_lines(other, with_changes(night("2026-11-19"), STACK))) == [
+        "what changed is unknown: both nights have no reference in common"
+    ]
+
+
+def test_figures_of_stages_are_printed_on_request(tmp_path: Path) -> None:
+    a, b = night("2026-11-18"), night("2026-11-19", points=60_000)
+    figures = [CameraFigures.from_json({"keypoints": count}) for count in (4000, 3000)]
+    a, b = (
+        replace(record, cameras=(replace(record.cameras[0], figures=each), *record.cameras[1:]))
+        for record, each in zip((a, b), figures, strict=True)
+    )
+    folders = []
+    for record in (a, b):
+        folders.append(UnfinishedRun(WorkFolder(tmp_path), record.run).publish(record, [], "").paths.folder)
+    short = CliRunner().invoke(main, ["compare", *map(str, folders)]).output
+    assert "points " in short
+    assert "keypoints" not in short
+    assert "and 1 figure of stages, cameras and pairs: --figures lists them" in short
+    assert "crane keypoints" in CliRunner().invoke(main, ["compare", *map(str, folders), "--figures"]).output
 
 
 def test_history_marks_runs_whose_folder_was_removed(toy: ToySite) -> None:

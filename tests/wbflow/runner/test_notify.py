@@ -89,7 +89,7 @@ def test_the_summary_names_the_first_finding_of_each_sort_of_bad_night(tmp_path:
         "yard 2026-11-20: degraded: crane: turned by 1.9 degrees (and 1 more)",
         "yard 2026-11-20: failed: no cloud: only camera gate has a usable capture (and 4 more)",
         "yard 2026-11-20: degraded: mast: none of its 3 pairs could be used: 23 inliers, 30 needed (and 2 more)",
-        "yard 2026-11-20: good",
+        "yard 2026-11-20: good; no more camera-no-usable-pair mast, camera-no-usable-pair roof, fewer-pairs",
     ]
 
 
@@ -134,7 +134,7 @@ def test_reminders_and_recovery_state_how_long_a_bad_state_has_lasted(tmp_path: 
     summaries = [entry["env"]["WBFLOW_SUMMARY"] for entry in site.received]
     assert summaries[1].startswith("yard 2026-11-20: degraded, for 1 h: roof: ")
     assert summaries[2].startswith("yard 2026-11-20: degraded, for 25 h: roof: ")
-    assert summaries[3] == "yard 2026-11-20: good, back after 2 days"
+    assert summaries[3] == "yard 2026-11-20: good, back after 2 days; no more camera-lost roof"
     assert [entry["stdin"]["lasted"] for entry in site.received] == ["", "1 h", "25 h", "2 days"]
 
 
@@ -150,7 +150,9 @@ def test_reminders_count_from_the_present_state_and_recovery_from_the_first(tmp_
     }
     occasions = [site.send(later(record, hours)) for hours, record in after.items()]
     assert occasions == ["degraded", "degraded", None, "reminder", "recovered", None]
-    assert site.received[-1]["env"]["WBFLOW_SUMMARY"] == "yard 2026-11-20: good, back after 3 h"
+    words = "yard 2026-11-20: good, back after 3 h; no more camera-lost mast, camera-lost roof"
+    assert site.received[-1]["env"]["WBFLOW_SUMMARY"] == words
+    assert site.received[-1]["stdin"]["recovered"] == ["camera-lost mast", "camera-lost roof"]
 
 
 def test_a_state_recorded_by_an_older_version_counts_from_now_on(tmp_path: Path) -> None:
