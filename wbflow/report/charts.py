@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import itertools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +14,10 @@ from ..task import Task
 from ..verdict.baseline import appearance_of
 from ..words import number
 from .data import ReportData, is_number, state_of
+from .timeline import Chart, Period, Sample, chart
 
-WIDTH = 260.0
-HEIGHT = 76.0
-EDGE = 8.0
-"""Size of a chart, and its margin, in units of its drawing: room for the dots at its ends."""
+FIRST_TRENDS = 6
+"""Number of trends that are always shown; a phone folds the others."""
 SPARK_NIGHTS = 14
 """Number of nights in a camera's row of bars."""
 _LEAST_BAR = 0.12
@@ -35,63 +33,84 @@ _LEAST_SPAN_S = 1e-3
 
 
 @dataclass(frozen=True)
-class Chart:
+class Trend:
     """A figure over the last nights."""
 
     title: str
+    chart: Chart
     now: str
+    """This night's value, with its unit; a dash if it has none."""
     median: str
-    median_y: float
-    points: Sequence[tuple[float, float, str, str, str]]
-    """For each night that has the figure, oldest first: x, y, verdict, label, and link to the report ("" for this night)."""
 
 
-def trends(data: ReportData) -> list[Chart]:
-    """Return a chart for each figure of the whole night."""
+def trends(data: ReportData) -> list[Trend]:
+    """Return a chart for each figure of the whole night; those that say most come first."""
     nights = data.nights
-    series: list[tuple[str, str, list[float | None]]] = []  # title, unit, and the value of each night
-    series.append(("points in the cloud", "", [night.cloud.points if night.cloud else 0 for night in nights]))
-    series.append(("cameras in use", "", [sum(camera.ok for camera in night.cameras) for night in nights]))
-    series.append(("usable pairs", "", [sum(pair.ok for pair in night.pairs) for night in nights]))
-    names = dict.fromkeys((stage, name) for night in nights for stage, result in night.results.items() for name in vars(result))
-    for stage, name in names:
-        scale, unit = (100, "%") if meaning(name).share else (1, "")
-        values = [getattr(night.results.get(stage), name, None) for night in nights]
-        series.append((titled(name), unit, [scale * value if is_number(value) else None for value in values]))
-    volumes = [result.volumes if (result := night.results.get(CHANGES)) else {} for night in nights]
-    for zone, change in itertools.product(dict.fromkeys(itertools.chain(*volumes)), ("gained", "lost")):
-        title = f"volume {change}{f', {zone}' if zone else ''}"
-        series.append((title, "m³", [getattr(by_zone.get(zone), change, None) for by_zone in volumes]))
-    series.append(("time", "s", [night.seconds.wall for night in nights]))
-    series.append(("CPU", "s", [night.seconds.cpu for night in nights]))
-    series.append(("size of the night's files", "MB", [_megabytes(data, night) for night in nights]))
-    return [chart for title, unit, values in series if (chart := _chart(data, title, unit, values))]
+    series: dict[tuple[str, str], list[Sample]] = {}  # by title and unit
+
+    def add(
+        title: str, unit: str, night: RunRecord, value: object, least: float | None = None, most: float | None = None
+    ) -> None:
+        if is_number(value):
+            day = datetime.date.fromisoformat(night.date)
+            sample = Sample(day, value, night.verdict.level if night.verdict else "", least, most)
+            series.setdefault((title, unit), []).append(sample)
+
+    # 1. What was used, and what changed.
+    for night in nights:
+        add("points in the cloud", "", night, night.cloud.points if night.cloud else 0)
+        add("cameras in use", "", night, sum(camera.ok for camera in night.cameras))
+        add("usable pairs", "", night, sum(pair.ok for pair in night.pairs))
+    for night in nights:
+        result = night.results.get(CHANGES)
+        for zone, part in result.volumes.items() if result else ():
+            of_zone = f", {zone}" if zone else ""
+            cubic = f"{night.unit}³" if night.unit else ""
+            add(
+                f"volume gained{of_zone}", cubic, night, part.gained, *_interval(part.gained, part.gained_least, part.gained_most)
+            )
+            add(f"volume lost{of_zone}", cubic, night, part.lost, *_interval(part.lost, part.lost_least, part.lost_most))
+
+    # 2. The figures of all stages.
+    for night in nights:
+        for result in night.results.values():
+            for name, value in vars(result).items():
+                if is_number(value):
+                    is_share = meaning(name).share
+                    add(titled(name), "%" if is_share else "", night, 100 * value if is_share else value)
+
+    # 3. What it cost.
+    for night in nights:
+        add("time", "s", night, night.seconds.wall)
+        add("CPU", "s", night, night.seconds.cpu)
+        add("size of the night's files", "MB", night, _megabytes(data, night))
+
+    period = Period(datetime.date.fromisoformat(nights[0].date), datetime.date.fromisoformat(nights[-1].date))
+    found = []
+    for (title, unit), samples in series.items():
+        drawn = chart(title, unit, samples, period)
+        if drawn:
+            found.append(Trend(title, drawn, _now(drawn, samples, data), _median(samples, unit)))
+    return found
 
 
-def _chart(data: ReportData, title: str, unit: str, values: Sequence[float | None]) -> Chart | None:
-    """Return the chart of a figure; None if fewer than two nights have it, or all values are 0."""
-    known = [value for value in values if value is not None]
-    if len(known) < 2 or not any(known):
-        return None
-    low, high = min(0.0, *known) if min(known) < 0.5 * max(known) else min(known), max(known)
-    spread = high - low or abs(high) or 1.0
-    step = (WIDTH - 2 * EDGE) / max(1, len(values) - 1)
+def _interval(seen: float, least: float, most: float) -> tuple[float | None, float | None]:
+    """Return the ends of a volume's interval; None where it is unknown: its upper end is below what was seen."""
+    if most < seen:
+        return None, None
+    return least, most
 
-    def y(value: float) -> float:
-        return HEIGHT - EDGE - (value - low) / spread * (HEIGHT - 2 * EDGE)
 
-    def format_label(value: float) -> str:
-        return f"{number(value)} {unit}".strip()
+def _now(drawn: Chart, samples: Sequence[Sample], data: ReportData) -> str:
+    """Return this night's value; the last one may be of an earlier night."""
+    if samples[-1].day.isoformat() == data.record.date:
+        return drawn.now
+    return "–"
 
-    points = []
-    for k, (night, value) in enumerate(zip(data.nights, values, strict=True)):
-        if value is not None:
-            link = "" if night.run == data.record.run else data.report_of(night.run)
-            state = night.verdict.level if night.verdict else ""
-            points.append((EDGE + k * step, y(value), state, f"{night.date}: {format_label(value)}", link))
-    median, last = sorted(known)[len(known) // 2], values[-1]
-    latest = "–" if last is None else format_label(last)
-    return Chart(title, latest, format_label(median), y(median), points)
+
+def _median(samples: Sequence[Sample], unit: str) -> str:
+    values = sorted(sample.value for sample in samples)
+    return f"{number(values[len(values) // 2])} {unit}".strip()
 
 
 def _megabytes(data: ReportData, night: RunRecord) -> float | None:

@@ -130,6 +130,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "pair_pictures": pair_pictures,
         "notes": list(_pose_notes(record)),
         "other_nights": list(_other_nights(data)),
+        "reports": {night.date: data.report_of(night.run) for night in data.earlier},
         "other": other,
         "other_pictures": pictures_then,
         "last_cloud": _last_cloud(data),

@@ -34,7 +34,7 @@
   let shown = 0;
   addEventListener("click", e => { // where no pointer can rest, a tap shows what would appear below it
     if (!matchMedia("(hover: none)").matches || e.target.closest("a, button, input, summary")) return;
-    const described = e.target.closest("[title]"), text = described?.title || e.target.querySelector?.(":scope > title")?.textContent || "";
+    const described = e.target.closest("[title], :has(> title)"), text = described?.title || described?.querySelector("title")?.textContent || "";
     clearTimeout(shown); meaning.hidden = !text; meaning.textContent = text;
     if (text) shown = setTimeout(() => { meaning.hidden = true; }, 6000);
   });
@@ -43,6 +43,11 @@
 
   const words = $("#first .words"), more = () => words.classList.toggle("more", words.scrollHeight - words.clientHeight - words.scrollTop > 8);
   words.addEventListener("scroll", more); addEventListener("resize", more); more();
+
+  for (const name of $$(".plan .dot text, .plan .mark text")) { // none is cut off at the edge
+    const box = name.getBBox(), wide = name.ownerSVGElement.viewBox.baseVal.width, beyond = Math.max(0, box.x + box.width + 6 - wide) || Math.min(0, box.x - 6);
+    if (beyond) name.setAttribute("x", +name.getAttribute("x") - beyond);
+  }
 
   const stored = $("#scene"), root = $("#view");
   if (!stored || !root) return;
