@@ -1,8 +1,11 @@
-"""The ledger: an SQLite index of runs and of the costs of their tasks.  Receipts and run.json are authoritative: a missing or
-damaged ledger is rebuilt from them.  Readers never change it."""
+"""The ledger: an SQLite index of runs, with a summary of each, and of the costs of their tasks.
+
+Receipts and run.json are authoritative: a missing or damaged ledger is rebuilt from them.  Readers never change it.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
 from collections import defaultdict
@@ -17,8 +20,9 @@ from ..cache.store import Cache
 from .costs import TaskCosts
 from .record import RunRecord
 from .run_folder import NoSuchRun, RunFolder
+from .summary import RunSummary, summary_of
 
-_FORMAT = 4
+_FORMAT = 5
 """Format version, stored last (SQLite's user_version): a ledger with another one, or an incomplete one, is rebuilt."""
 _BUSY_TIMEOUT_S = 5.0
 """Seconds to wait for another process that is writing."""
@@ -48,7 +52,7 @@ class LedgerRun:
 
 _COLUMNS = ", ".join(column.name for column in fields(LedgerRun))
 _SCHEMA = f"""
-create table if not exists runs ({_COLUMNS}, primary key (run));
+create table if not exists runs ({_COLUMNS}, summary, primary key (run));
 create table if not exists artifacts (artifact primary key, stage, task, bytes, wall, peak_mb, finished);
 """
 
@@ -90,7 +94,8 @@ class Ledger:
         """Index a run."""
         seconds, points = record.seconds, record.cloud.points if record.cloud else None
         times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
-        row = (record.run, record.date, *times, *astuple(record.tasks), points, int(record.exit_code))
+        summary = json.dumps(summary_of(record).to_json())
+        row = (record.run, record.date, *times, *astuple(record.tasks), points, int(record.exit_code), summary)
         with self._db:
             self._db.execute(f"insert or replace into runs values ({','.join('?' * len(row))})", row)
 
@@ -107,6 +112,11 @@ class Ledger:
     def runs(self) -> list[LedgerRun]:
         """Return all runs, oldest first."""
         return [LedgerRun(*row) for row in self._db.execute(f"select {_COLUMNS} from runs order by run")]
+
+    def summaries(self) -> list[RunSummary]:
+        """Return the summaries of all runs, oldest first."""
+        texts = self._db.execute("select summary from runs order by run")
+        return [RunSummary.from_json(json.loads(text)) for (text,) in texts]
 
     def costs(self) -> TaskCosts:
         """Return the time, memory and disk space that the newest tasks took."""

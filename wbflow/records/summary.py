@@ -1,0 +1,137 @@
+"""The summary of a run: what the page of its site shows of it.
+
+The ledger keeps it, so that a page over hundreds of nights reads no run.json, and knows nights whose folders are gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from wbflow_stages.contracts.ground_figures import CutFill
+
+from ..json_dataclass import JsonDataclass
+from ..pipeline.summaries import RecordedChange
+from .findings import Finding
+from .record import RunRecord
+
+MOST_FINDINGS = 5
+"""Largest number of findings whose texts are kept; the report of the run has all."""
+_PICTURES = (".jpg", ".png")
+
+
+@dataclass(frozen=True)
+class FindingSummary(JsonDataclass):
+    """What a finding says."""
+
+    text: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class ChangeSummary(JsonDataclass):
+    """What a change of one night is, and where."""
+
+    id: str
+    kind: str
+    zone: str
+    size: tuple[float, float, float]
+    """Length, width and height."""
+    place: tuple[float, float, float]
+    """x, y, z of its centre."""
+    volume: float
+    volume_sigma: float
+    volume_least: float
+    volume_most: float
+    seen: bool
+    acknowledged: str
+    picture: str
+    """File in the run's folder that shows it on both nights; "" if there is none."""
+
+
+@dataclass(frozen=True)
+class RunSummary(JsonDataclass):
+    """A run, in short."""
+
+    run: str
+    date: str
+    """The night of the captures, ISO 8601."""
+    level: str
+    """good, degraded or failed."""
+    findings: tuple[FindingSummary, ...] = ()
+    """The first `MOST_FINDINGS` findings."""
+    finding_count: int = 0
+    metric: bool = True
+    """Are lengths known to be metres?"""
+    reference: str = ""
+    """The run that it was compared with."""
+    compared: bool = False
+    """Were changes looked for?"""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """Figures of the whole night: `points`, `cameras`, `pairs`, `seconds`, and those of site-wide stages as "stage.name"."""
+    volumes: Mapping[str, CutFill] = field(default_factory=dict)
+    """Volumes gained and lost, by zone; "" is the whole site."""
+    changes: tuple[ChangeSummary, ...] = ()
+
+
+def summary_of(record: RunRecord) -> RunSummary:
+    """Return the summary of a run."""
+    level = "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
+    findings: tuple[Finding, ...] = ()
+    if record.verdict:
+        level = record.verdict.level
+        findings = record.verdict.findings
+    volumes: dict[str, CutFill] = {}
+    changes: list[ChangeSummary] = []
+    for result in record.results.values():
+        volumes.update(result.volumes)
+        for name, change in result.objects.items():
+            changes.append(_change(name, change, result.files))
+    return RunSummary(
+        run=record.run,
+        date=record.date,
+        level=level,
+        findings=tuple(FindingSummary(str(finding), finding.remedy) for finding in findings[:MOST_FINDINGS]),
+        finding_count=len(findings),
+        metric=record.poses is None or record.poses.metric,
+        reference=record.reference or "",
+        compared=bool(volumes),
+        figures=_figures(record),
+        volumes=volumes,
+        changes=tuple(changes),
+    )
+
+
+def _change(name: str, change: RecordedChange, files: tuple[str, ...]) -> ChangeSummary:
+    picture = ""
+    for file in files:
+        if file.endswith(tuple(f"-{name}{suffix}" for suffix in _PICTURES)):
+            picture = file
+    return ChangeSummary(
+        id=name,
+        kind=change.kind,
+        zone=change.zone,
+        size=(change.length, change.width, change.height),
+        place=(change.x, change.y, change.z),
+        volume=change.volume,
+        volume_sigma=change.volume_sigma,
+        volume_least=change.volume_least,
+        volume_most=change.volume_most,
+        seen=change.seen,
+        acknowledged=change.acknowledged,
+        picture=picture,
+    )
+
+
+def _figures(record: RunRecord) -> dict[str, float]:
+    figures: dict[str, float] = {
+        "points": record.cloud.points if record.cloud else 0,
+        "cameras": sum(camera.ok for camera in record.cameras),
+        "pairs": sum(pair.ok for pair in record.pairs),
+        "seconds": record.seconds.wall,
+    }
+    for stage, result in record.results.items():
+        for name, value in vars(result).items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                figures[f"{stage}.{name}"] = value
+    return figures
