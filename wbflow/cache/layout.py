@@ -94,6 +94,8 @@ class WorkFolder:
         """A link to the run of the newest night, whatever its outcome; a file that names it where there are no symbolic links."""
         self.latest_good = self.runs / "latest-good"
         """The same for the newest run with a cloud whose verdict is good or degraded."""
+        self.site_page = self.root / "site.html"
+        """The page about all nights of the site."""
         self.reference = self.root / "reference"
         """The reference that nights are compared with, and copies of its artifacts under the same names as in the cache."""
         self.reference_record = self.reference / "reference.json"

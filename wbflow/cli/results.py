@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -452,31 +453,44 @@ def clean(site: Path, keep: int, clouds: int | None, reports: int | None, dry_ru
     """
     from ..records.cleanup import clean as remove
     from ..records.keep import Keep
-    from ..records.run_folder import hold_to_write
+    from ..records.run_folder import NoSuchRun, hold_to_write
+    from ..report.site_page import write_site_page
 
-    folder = load(site, work).work_folder
+    loaded = load(site, work)
+    folder = loaded.work_folder
     with hold_to_write(folder, wait=False):
         cleaning = remove(folder, Keep(runs=keep, clouds=clouds, reports=reports), dry_run=dry_run)
+        if not dry_run:
+            with contextlib.suppress(NoSuchRun):
+                write_site_page(loaded)  # so that it links to no report that is gone
     verb = "would remove" if dry_run else "removed"
     echo(f"{verb} {counted(cleaning.files, 'file')}, {cleaning.bytes / 1e6:,.1f} MB, and {counted(len(cleaning.runs), 'run')}")
 
 
 @click.command("site-report")
 @common.sites_argument
-@click.option("--out", type=common.PATH, default=Path("sites.html"), metavar="FILE", help="The page.")
-def site_report(sites: tuple[Path, ...], out: Path) -> None:
-    """Make one page about several sites.  It shows their last nights, with links to the reports.
+@click.option("--out", type=common.PATH, metavar="FILE", help="The page (default: site.html in the work folder; sites.html).")
+def site_report(sites: tuple[Path, ...], out: Path | None) -> None:
+    """Make one page about all nights of a site, or about several sites.
 
-    If SITE.yaml is a folder, all site files in it and in its subfolders are used.
+    That of one site shows a calendar with verdicts, all changes from their first night to their last, and trends; each run makes
+    it, too.  That of several sites shows their last nights.  Both link to the reports.  If SITE.yaml is a folder, all site files
+    in it and in its subfolders are used.
 
     \b
+    wbflow site-report yard/site.yaml
     wbflow site-report /srv/sites --out /srv/www/sites.html
-    wbflow site-report harbour/site.yaml yard/site.yaml
     """
     from ..cache.atomic import write_atomic
+    from ..report.site_page import write_site_page
     from ..report.sites import site_files, sites_page
 
-    if not site_files(sites):
+    files = site_files(sites)
+    if not files:
         raise UsageError(f"there is no site file in {', '.join(map(str, sites))}", remedy="name site files, or a folder of them")
-    write_atomic(out, sites_page(sites, out).encode(errors="backslashreplace"))
-    echo(out)
+    if len(files) == 1:
+        echo(write_site_page(load(files[0], None), out))
+        return
+    page = out or Path("sites.html")
+    write_atomic(page, sites_page(sites, page).encode(errors="backslashreplace"))
+    echo(page)

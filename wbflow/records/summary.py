@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from wbflow_stages.contracts.ground_figures import CutFill
 
@@ -17,7 +18,6 @@ from .record import RunRecord
 
 MOST_FINDINGS = 5
 """Largest number of findings whose texts are kept; the report of the run has all."""
-_PICTURES = (".jpg", ".png")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class RunSummary(JsonDataclass):
     compared: bool = False
     """Were changes looked for?"""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """Figures of the whole night: `points`, `cameras`, `pairs`, `seconds`, and those of site-wide stages as "stage.name"."""
+    """Figures of the whole night: `points` of the cloud, usable `cameras` and `pairs`, `seconds`; of a stage: "stage.name"."""
     volumes: Mapping[str, CutFill] = field(default_factory=dict)
     """Volumes gained and lost, by zone; "" is the whole site."""
     changes: tuple[ChangeSummary, ...] = ()
@@ -105,7 +105,7 @@ def summary_of(record: RunRecord) -> RunSummary:
 def _change(name: str, change: RecordedChange, files: tuple[str, ...]) -> ChangeSummary:
     picture = ""
     for file in files:
-        if file.endswith(tuple(f"-{name}{suffix}" for suffix in _PICTURES)):
+        if Path(file).stem.endswith(f"-{name}"):
             picture = file
     return ChangeSummary(
         id=name,
@@ -125,11 +125,12 @@ def _change(name: str, change: RecordedChange, files: tuple[str, ...]) -> Change
 
 def _figures(record: RunRecord) -> dict[str, float]:
     figures: dict[str, float] = {
-        "points": record.cloud.points if record.cloud else 0,
         "cameras": sum(camera.ok for camera in record.cameras),
         "pairs": sum(pair.ok for pair in record.pairs),
         "seconds": record.seconds.wall,
     }
+    if record.cloud:
+        figures["points"] = record.cloud.points
     for stage, result in record.results.items():
         for name, value in vars(result).items():
             if isinstance(value, int | float) and not isinstance(value, bool):

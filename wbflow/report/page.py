@@ -27,6 +27,7 @@ from .data import ReportData
 from .map import Map, layers_of
 from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other
 from .scene import scene_of
+from .site_page import place_of
 
 MOST_BYTES = 14_000_000
 """Approximate limit on the size of a page: large pictures get the bytes that everything else leaves."""
@@ -136,6 +137,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "last_cloud": _last_cloud(data),
         "when": _when(data),
         "files": list(_files(data)),
+        "site_page": place_of(data.work),
         "large_pictures": large_pictures(data, bytes_left),
     }
 
@@ -159,6 +161,7 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
         yield f"← {previous.date}", data.report_of(previous.run)
         if data.last_good and data.last_good.run != previous.run:
             yield f"last good night, {data.last_good.date}", data.report_of(data.last_good.run)
+    yield "all nights", f"../../{data.work.site_page.name}#night-{data.record.date}"
     # the link always leads to the newest night, however old this page is; a file stands for it where there are no links
     if data.work.latest.is_symlink() or not data.work.latest.exists():
         yield "newest night →", data.report_of(data.work.latest.name)

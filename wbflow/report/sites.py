@@ -37,6 +37,8 @@ class SiteRow:
     nights: tuple[tuple[Entry, str, str], ...] = ()
     """For each night, oldest first: its last run, the level of its verdict, and the link to its report; "" if there is none."""
     picture: str = ""
+    page: str = ""
+    """Link to the page about all its nights; "" if there is none."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -108,7 +110,8 @@ def _site_row(file: Path, folder: Path) -> SiteRow:
         report = work.run(entry.run.run).report
         link = os.path.relpath(report, folder) if report.is_file() else ""
         nights.append((entry, level, link))
-    return SiteRow(site.name, site.file, "", tuple(nights), _picture_url(work))
+    page = os.path.relpath(work.site_page, folder) if work.site_page.is_file() else ""
+    return SiteRow(site.name, site.file, "", tuple(nights), _picture_url(work), page)
 
 
 def _picture_url(work: WorkFolder) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+from collections.abc import Callable
 
 from ..errors import WbflowError
 from ..records.cleanup import clean
@@ -17,19 +18,25 @@ from ..words import format_size
 from .journal import Journal
 from .notify import NotifyFailed, notify, notify_changes
 
+DrawSite = Callable[[Site, Journal], None]
+"""Writes the page about all nights of a site; a fault becomes a warning."""
 
-def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
+
+def follow_up(run: Run, site: Site, journal: Journal, draw: DrawSite, *, send: bool) -> None:
     """Do what follows a published run.  No fault in this affects the night: it becomes a warning, in the run's log as well.
 
     Parameters
     ----------
     run, site, journal : Run, Site, Journal
         The published run, its site, and its events.
+    draw : callable
+        Writes the page about all nights of the site.
     send : bool
         May the site's `notify` command be called?  It is not called for the rerun of an old night, which is no news.
     """
     event_count = len(journal.events)
-    index(run, site, journal)
+    if index(run, site, journal):
+        draw(site, journal)
     is_news = RunFolder.of(run.cache.work).id == run.id
     for send_message in (notify, notify_changes) if send and is_news else ():
         if site.settings.notify:
@@ -42,8 +49,11 @@ def follow_up(run: Run, site: Site, journal: Journal, send: bool) -> None:
             run.run_folder.add(event)
 
 
-def index(run: Run, site: Site, journal: Journal) -> None:
-    """Index the run, pin the first good one, and clean up.  The night is already published, so faults are only warnings."""
+def index(run: Run, site: Site, journal: Journal) -> bool:
+    """Index the run, pin the first good one, and clean up; return whether that worked.
+
+    The night is already published, so faults are only warnings.
+    """
     try:
         with Ledger(run.cache.work, writes=True) as ledger:
             receipts = []
@@ -66,3 +76,6 @@ def index(run: Run, site: Site, journal: Journal) -> None:
         journal.warn(f"the ledger was not written: {error}", remedy="the next run catches up")
     except (OSError, WbflowError) as error:
         journal.warn(f"after the run: {error}", remedy="no result is lost; the next run tries again")
+    else:
+        return True
+    return False

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import sqlite3
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..cache.atomic import disk_fault
 from ..cache.layout import WorkFolder
@@ -33,6 +33,8 @@ from .plan import Plan
 from .publish import publish
 from .signals import terminate_as_interrupt
 from .tonight import read_night
+
+Page = TypeVar("Page")
 
 
 def run_night(site: Site, options: Options, listen: Listener) -> Run:
@@ -76,7 +78,7 @@ def run_night(site: Site, options: Options, listen: Listener) -> Run:
             products = run_tasks(plan, options, journal)
             finished = publish(run, plan, products, journal, draw_report, own_process=options.backend == "threading")
             mark_published(work)
-            follow_up(finished, site, journal, send=products is not None and not options.until)
+            follow_up(finished, site, journal, draw_site_page, send=products is not None and not options.until)
             if mirror:
                 fault = mirror.finish()
                 if fault:
@@ -99,16 +101,46 @@ def draw_report(night: Night, record: RunRecord, journal: Journal, cameras: Mapp
     folder : Path
         The folder with the files of the run.
     """
-    try:
+
+    def draw() -> str:
         # here: a run that only plans needs no report, and its libraries take a while to import
         from ..report.data import ReportData
         from ..report.page import build_report
 
         return build_report(ReportData(night.cache, record, tuple(journal.events), cameras, folder, night.site))
+
+    page = drawn(draw, journal, "the report could not be built", "wbflow report SITE.yaml  builds it again")
+    if isinstance(page, Exception):
+        return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(page))}"
+    return page
+
+
+def draw_site_page(site: Site, journal: Journal) -> None:
+    """Write the page about all nights of a site; it is only a warning if that fails, too."""
+
+    def draw() -> Path:
+        from ..report.site_page import write_site_page
+
+        return write_site_page(site)
+
+    drawn(draw, journal, "the page of the site could not be made", "wbflow site-report SITE.yaml  makes it again")
+
+
+def drawn(draw: Callable[[], Page], journal: Journal, fault: str, remedy: str) -> Page | Exception:
+    """Return what a function draws; if it fails, warn, and return the error.
+
+    Parameters
+    ----------
+    draw, journal : callable, Journal
+        Draws a page; the events of the run.
+    fault, remedy : str
+        What is said of a failure, and what to do about it.
+    """
+    try:
+        return draw()
     except Exception as error:  # whatever goes wrong in drawing
-        what = f"the report could not be built: {type(error).__name__}: {error}"
-        journal.warn(what, remedy="wbflow report SITE.yaml  builds it again", trace=traceback.format_exc())
-        return f"<!doctype html><title>wbflow</title><p>No report: {escape(repr(error))}"
+        journal.warn(f"{fault}: {type(error).__name__}: {error}", remedy=remedy, trace=traceback.format_exc())
+        return error
 
 
 def check_names(site: Site) -> None:
