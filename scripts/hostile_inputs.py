@@ -86,7 +86,7 @@ def load(file: Path) -> str:
             own_work = b'"work"' in file.read_bytes()
             site = load_site(file, None if own_work else file.parent / "work")  # all cases share its functions memo
             Plan(read_night(site, Options())).refresh()
-            site.reader.save()
+            site.bindings.reader.save()
     except WbflowError as error:
         if error.exit_code is not ExitCode.USAGE:
             raise AssertionError(f"exit code {int(error.exit_code)}: {error}") from None

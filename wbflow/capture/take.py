@@ -16,7 +16,7 @@ import yaml
 from ..cache.atomic import write_atomic
 from ..cache.untrusted import MOST_TEXT_BYTES, read_untrusted
 from ..errors import UsageError
-from ..site.captures import Reader
+from ..site.hanging_disks import Reader
 from ..site.models import CameraEntry, Site
 from ..words import counted, printable
 from .server import FINGERPRINT, Access, Login, Shot

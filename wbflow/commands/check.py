@@ -23,7 +23,8 @@ from ..runner.disk import night_bytes
 from ..runner.night import Night
 from ..runner.options import Options
 from ..runner.tonight import read_night
-from ..site.captures import FEW_EXAMPLES, CaptureFile, expected, nights_with_captures, nothing_matches
+from ..site.capture_files import CaptureFile
+from ..site.captures import FEW_EXAMPLES, expected, nights_with_captures, nothing_matches
 from ..site.models import Camera, Site
 from ..site.plausibility import polygon_outside
 from ..site.stale_cameras import gap_of

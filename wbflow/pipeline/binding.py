@@ -6,14 +6,15 @@ parameters, and must come after a bare `*`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..cache.checksum import content_digest
 from ..cache.fingerprint import FunctionError
 from .signature import Functions, Parameter, Signature
-from .stages import Method, Source, Stage
+from .stages import Adapt, Method, Source, Stage
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,36 @@ class Binding:
         return faults
 
 
+@dataclass(frozen=True)
+class Bindings:
+    """Keeps each binding: a stage with a section in the site file is bound when that is checked, others when first asked for.
+
+    Binding reads all code that a stage runs, which no command should have to do that only shows a run.
+    """
+
+    reader: Functions
+    _bound: dict[str, Binding] = field(default_factory=dict, repr=False)
+    """Bindings by stage, or by the function of the `Adapt` that replaces the stage's own."""
+
+    def bind_section(self, stage: Stage, use: str | None, values: Mapping[str, Any]) -> Binding:
+        """Bind a stage to the function and the method that its section names (`bind`).  Raises FunctionError."""
+        self._bound[stage.name] = bind(stage, use, values, self.reader)
+        return self._bound[stage.name]
+
+    def of(self, stage: Stage) -> Binding:
+        """The binding of a stage to the function that the site uses for it."""
+        if stage.name not in self._bound:
+            self._bound[stage.name] = bind(stage, None, {}, self.reader)
+        return self._bound[stage.name]
+
+    def of_adapt(self, stage: Stage, adapt: Adapt) -> Binding:
+        """The binding of a stage to the function that derives its result from the reference's; it takes no method."""
+        if adapt.function not in self._bound:
+            adapting = dataclasses.replace(stage, function=adapt.function, inputs=adapt.inputs, offers={}, method=None)
+            self._bound[adapt.function] = bind(adapting, None, {}, self.reader)
+        return self._bound[adapt.function]
+
+
 def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Functions) -> Binding:
     """Bind a stage.  Raises FunctionError if the function or the method does not exist.
 
@@ -61,7 +92,6 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
         Parameters that the site file sets, by name.
     """
     choice = stage.method if use is None else None
-    code = reader.code(use or stage.function, choice.table if choice else "")
     function = reader.signature(use or stage.function)
     parameters = {name: p for name, p in function.parameters.items() if name not in stage.sources}
     if choice is None:
@@ -69,9 +99,7 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
         requested = function.names | (stage.inputs.keys() if function.takes_any else set())
     else:
         value = values.get(choice.parameter, parameters[choice.parameter].default)
-        method_name = _chosen_method(choice, value, reader)
-        code = content_digest(f"{code} {reader.code(method_name)}".encode())
-        method = reader.signature(method_name)
+        method = reader.signature(_chosen_method(choice, value, reader))
         provided = {*stage.sources, *choice.inputs, *parameters}
         parameters |= {name: p for name, p in method.parameters.items() if name not in provided}
         requested = (function.names & stage.inputs.keys()) | (method.names & _passed_to_method(function, stage))
@@ -79,7 +107,25 @@ def bind(stage: Stage, use: str | None, values: Mapping[str, Any], reader: Funct
     inputs = {name: source for name, source in stage.sources.items() if name in requested}
     # an input for which the function has no default is required, even if its source has an `unless`
     inputs |= {name: replace(source, unless=()) for name, source in inputs.items() if name in required}
+    code = code_of(stage, function.dotted, method.dotted if method else "", reader)
     return Binding(stage, function, method, code, inputs, parameters)
+
+
+def code_of(stage: Stage, function: str, method: str, reader: Functions) -> str:
+    """Return the fingerprint of all code that a stage's function and its method run.  Raises FunctionError.
+
+    Parameters
+    ----------
+    stage, reader : Stage, Functions
+        As for `bind`.
+    function, method : str
+        Dotted names; no method: "".
+    """
+    if not method or stage.method is None:
+        return reader.code(function)
+    # the other methods of the table do not matter
+    of_function = reader.code(function, stage.method.table)
+    return content_digest(f"{of_function} {reader.code(method)}".encode())
 
 
 def method_parameters(stage: Stage, reader: Functions) -> dict[str, dict[str, Parameter]]:

@@ -19,7 +19,6 @@ from ..pipeline.stages import POSES, STAGES, Stage, stage_named
 from ..plugins import load
 from ..records.reference import Reference
 from ..records.run_folder import NoSuchRun, newest_runs
-from ..runner.bindings import Bindings, stages_of
 from ..runner.night import Night, NightFiles
 from ..runner.plan import Plan
 from ..runner.state import Impossible, Waiting, cached_state
@@ -68,14 +67,14 @@ def aggregate_nights(work: WorkFolder, reference: Reference, site: Site) -> dict
         if receipt:
             all_receipts.append(receipt)
     write_reference(cache, dataclasses.replace(reference, artifacts=artifacts), all_receipts)
-    site.reader.save()
+    site.bindings.reader.save()
     return counts
 
 
 def _night_of(reference: Reference, site: Site, cache: Cache) -> Night:
     """The reference's own night, without its captures."""
     files = NightFiles({}, {}, Digests(cache.work.captures_memo), EarlierCaptures(cache.work.delivered_memo))
-    return Night(site, datetime.date.fromisoformat(reference.date), stages_of(site), Bindings(site), cache, files)
+    return Night(site, datetime.date.fromisoformat(reference.date), site.active_stages(), cache, files)
 
 
 def _keys_by_night(work: WorkFolder, reference: Reference) -> dict[str, dict[Task, str]]:
@@ -191,7 +190,7 @@ def _pool(plan: Plan, task: Task, receipts: Mapping[str, Receipt]) -> Receipt | 
     inputs = {name: digest for name, digest in first.inputs.items() if name in stage.inputs}
     for date, receipt in receipts.items():
         inputs[f"night {date}"] = receipt.digest
-    code = plan.night.site.reader.code(function)
+    code = plan.night.site.bindings.reader.code(function)
     preimage = Preimage(task.stage, task.subject, function, code, first.parameters, inputs)
     key = preimage.key()
     existing = cache.by_key(task, key)

@@ -53,7 +53,7 @@ def _change_since(receipt: Receipt, stage: Stage, night: Night) -> str:
     for rule in (stage.reuse.shifted, stage.reuse.moved):
         if isinstance(rule, Adapt) and rule.function == pinned.function:
             return ""  # it was derived from the result of an earlier reference
-    function = night.bindings.of(stage).function.dotted
+    function = night.site.bindings.of(stage).function.dotted
     if pinned.function not in {function, stage.reuse.aggregate}:
         return f"other settings: {stage.name}: function {pinned.function} → {function}"
     return _parameter_change(pinned, stage, night) or _input_change(pinned, stage, night)
@@ -61,8 +61,8 @@ def _change_since(receipt: Receipt, stage: Stage, night: Night) -> str:
 
 def _parameter_change(pinned: Preimage, stage: Stage, night: Night) -> str:
     """The first parameter whose value has changed, as text; "" if none has."""
-    stated = night.bindings.stated(stage)
-    for name, value in {**night.bindings.of(stage).defaults(), **stated}.items():
+    stated = night.site.stated(stage)
+    for name, value in {**night.site.bindings.of(stage).defaults(), **stated}.items():
         if name in pinned.parameters:
             # as JSON: a receipt has lists where the site file has tuples
             changed = json.dumps(value) != json.dumps(pinned.parameters[name])
@@ -76,7 +76,7 @@ def _parameter_change(pinned: Preimage, stage: Stage, night: Night) -> str:
 
 def _input_change(pinned: Preimage, stage: Stage, night: Night) -> str:
     """The first input whose content has changed, as text; "" if none has.  Only files and entries for cameras are compared."""
-    for name, need in night.bindings.of(stage).inputs.items():
+    for name, need in night.site.bindings.of(stage).inputs.items():
         if need.kind == "file":
             file = night.files.named.get(file_of_stage(stage.name, name))
             if file and pinned.inputs.get(name) != Files((file,)).digest:

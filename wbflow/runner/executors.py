@@ -21,7 +21,7 @@ from typing import Any
 from .. import __version__
 from ..cache.fingerprint import FunctionError
 from ..errors import WbflowError
-from ..pipeline.binding import bind
+from ..pipeline.binding import code_of
 from ..pipeline.functions import FunctionReader
 from ..pipeline.stages import stage_named
 from ..words import format_size
@@ -316,13 +316,8 @@ def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[...
 
 def _same_code(spec: TaskSpec) -> bool:
     """Is the code of a task on this machine the code that is part of its cache key?"""
-    stage = stage_named(spec.task.stage)
-    reader = _reader(spec.folder)
-    uses: list[str | None] = [spec.function]
-    if spec.function == stage.function:
-        uses.append(None)  # the site may have left the function to the stage: then methods are bound with it
     try:
-        return any(bind(stage, use, spec.parameters, reader).code == spec.code for use in uses)
+        return code_of(stage_named(spec.task.stage), spec.function, spec.method, _reader(spec.folder)) == spec.code
     except FunctionError:
         return False
 

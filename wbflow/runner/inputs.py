@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 
 from ..pipeline.stages import FRAMES, HEALTH, PAIRS, Source, Stage, stage_named
-from ..site.captures import CaptureFile, file_of_stage, nothing_matches
+from ..site.capture_files import CaptureFile
+from ..site.captures import file_of_stage, nothing_matches
 from ..task import Subject, Task, camera_of
 from .night import Night
 from .spec import Files, Input, Joined, Stored, site_input, stored_input

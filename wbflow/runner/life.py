@@ -155,7 +155,7 @@ def check_names(site: Site) -> None:
 
 def note_oddities(night: Night, journal: Journal) -> None:
     """Tell the journal what was odd about the memos on disk and the captures."""
-    for memo in (night.files.digests, night.files.earlier, night.site.reader):
+    for memo in (night.files.digests, night.files.earlier, night.site.bindings.reader):
         if memo.damage:
             journal.note_repair(memo.damage)
     for camera, text in night.notes.items():

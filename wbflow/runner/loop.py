@@ -39,7 +39,7 @@ def run_tasks(plan: Plan, options: Options, journal: Journal) -> dict[Task, byte
         dispatcher.stop()
         loop.note_ended()
         try:
-            for memo in (night.files.digests, night.files.earlier, night.site.reader):
+            for memo in (night.files.digests, night.files.earlier, night.site.bindings.reader):
                 memo.save()
         except OSError as error:  # the next run only takes longer
             journal.warn(f"digests of captures and signatures of functions could not be saved: {error}")

@@ -18,9 +18,8 @@ from ..cache.memo import Digests, EarlierCaptures
 from ..cache.store import Cache
 from ..pipeline.stages import Stage
 from ..records.reference import Reference
-from ..site.captures import CaptureFile, changes_of, with_current_digest
+from ..site.capture_files import CaptureFile, changes_of, with_current_digest
 from ..site.models import Site
-from .bindings import Bindings
 
 
 @dataclass
@@ -80,7 +79,6 @@ class Night:
     date: datetime.date
     stages: tuple[Stage, ...]
     """The stages that take part, in the order of the pipeline."""
-    bindings: Bindings
     cache: Cache
     files: NightFiles
     date_stated: bool = False

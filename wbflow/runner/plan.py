@@ -131,7 +131,7 @@ class Plan:
 
     def upstreams(self, task: Task) -> list[Task]:
         """The tasks that provide the inputs of a task, as far as they are listed yet."""
-        return self._inputs.upstreams(task, self.night.bindings.of(stage_named(task.stage)).inputs)
+        return self._inputs.upstreams(task, self.night.site.bindings.of(stage_named(task.stage)).inputs)
 
     def _list(self) -> None:
         """List all known tasks, to be examined in the order of the pipeline."""
@@ -193,11 +193,11 @@ class Plan:
 
         earlier: tasks earlier in the same chain; inputs from these are not resolved yet.
         """
-        bindings = self.night.bindings
+        bindings = self.night.site.bindings
         bound = bindings.of_adapt(stage, adapt) if adapt else bindings.of(stage)
         inputs = self._inputs.inputs_of(task, bound.inputs, earlier)
         parameters = bound.defaults()
-        stated = bindings.stated(stage)
+        stated = self.night.site.stated(stage)
         if adapt:
             # its function reads only some of the stage's parameters
             stated = {name: value for name, value in stated.items() if name in bound.parameters}
@@ -211,6 +211,7 @@ class Plan:
             bound.code,
             parameters,
             inputs,
+            method=bound.method.dotted if bound.method else "",
             force=not self._force.isdisjoint(names_of(task)),
             left_to_function=left_to_function,
             folder=self.night.site.folder,

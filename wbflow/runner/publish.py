@@ -100,7 +100,7 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     page = draw(night, record, journal, cameras, unfinished.paths.folder)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with contextlib.suppress(OSError):  # functions are then read again by the next run
-        night.site.reader.save()
+        night.site.bindings.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return Run(folder, record, tasks, night.cache)
 

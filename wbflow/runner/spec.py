@@ -11,7 +11,7 @@ from typing import Any
 from ..cache.checksum import content_digest
 from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, Source, stage_named
-from ..site.captures import CaptureFile
+from ..site.capture_files import CaptureFile
 from ..site.models import Camera, Site, stated_fields
 from ..task import Subject, Task
 
@@ -112,6 +112,8 @@ class TaskSpec:
     code: str
     parameters: dict[str, Any]
     inputs: dict[str, Input]
+    method: str = ""
+    """Dotted name of the method that the function calls; "" if it has no choice."""
     product_files: tuple[ProductFile, ...] = ()
     force: bool = False
     left_to_function: dict[str, str] = field(default_factory=dict)

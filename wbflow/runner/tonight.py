@@ -11,7 +11,6 @@ from ..reference.compatibility import calibration_change, incompatibility
 from ..site.captures import expected, find_captures, find_named, list_store, night, when_complete
 from ..site.models import Site
 from ..site.stale_cameras import find_stale
-from .bindings import Bindings, stages_of
 from .night import Night, NightFiles
 from .options import Options
 
@@ -33,8 +32,7 @@ def read_night(site: Site, options: Options) -> Night:
     found = Night(
         site,
         date,
-        stages_of(site, options.until),
-        Bindings(site),
+        site.active_stages(options.until),
         Cache(work),
         NightFiles(fresh.captures, find_named(site, digests), digests, earlier, growing),
         date_stated=options.date is not None,

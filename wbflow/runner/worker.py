@@ -30,7 +30,7 @@ from ..cache.store import Cache, Damage, DamagedArtifact, OnDemand
 from ..cache.untrusted import read_untrusted
 from ..pipeline.stages import CHECK_RESULT, REJECTED, RESULT_TYPES, SITE_TYPES
 from ..plugins import load, make_importable
-from ..site.captures import CaptureFile
+from ..site.capture_files import CaptureFile
 from ..task import Task
 from ..words import DISK_FULL_REMEDY, LONGEST_TRACE, printable
 from .spec import Files, Input, Joined, Stored, TaskSpec, Value

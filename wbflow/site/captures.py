@@ -5,38 +5,19 @@ from __future__ import annotations
 import datetime
 import functools
 import glob
-import queue
-import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
 
 from ..cache.memo import Digests
 from ..cache.untrusted import find_untrusted, is_file
 from ..errors import UsageError, WbflowError
 from ..words import printable
 from .bursts import BurstEnds, burst_ends, neighbours, night_of
+from .capture_files import CaptureFile, with_current_digest
+from .hanging_disks import results_by_camera
 from .models import Camera, Site
 
-
-@dataclass(frozen=True)
-class CaptureFile:
-    """A capture of the night, as it is on disk."""
-
-    name: str
-    """Relative to the captures' root."""
-    path: Path
-    digest: str
-    """Digest of its bytes; "" if it cannot be read."""
-    fault: str = ""
-    """Why it cannot be read."""
-
-
-ANSWER_SECONDS = 120.0
-"""Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
 QUIET_SECONDS = 0.5
 """A capture is complete when it has not changed for so long.  Longer delays every run; shorter reads captures half written."""
 MOST_WAIT_SECONDS = 10.0
@@ -45,59 +26,6 @@ FAT_STEP_NS = 2_000_000_000
 """Step of the time stamps of FAT file systems, nanoseconds."""
 _POLL_SECONDS = 0.05
 """How often it is looked at whether they have grown."""
-REDUCED_ANSWER_SECONDS = 5.0
-"""Timeout instead of `ANSWER_SECONDS` once another camera's folder has timed out: most cameras share one mount."""
-T = TypeVar("T")
-
-
-class Reader:
-    """A thread that reads from disks that may hang.  Not a pool: the interpreter would wait for the pool's threads at exit."""
-
-    def __init__(self) -> None:
-        self._reads: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        threading.Thread(target=self._work, daemon=True).start()
-
-    def _work(self) -> None:
-        while read := self._reads.get():
-            read()
-
-    def read(self, read: Callable[[], T], seconds: float) -> T:
-        """Return what `read` returns.  Raises TimeoutError if the disk hangs (then use another reader), or what `read` raises."""
-        answer: Future[T] = Future()
-
-        def work() -> None:
-            try:
-                answer.set_result(read())
-            except BaseException as error:  # a fault of our own is raised where it is waited for, not taken for a disk that hangs
-                answer.set_exception(error)
-
-        self._reads.put(work)
-        try:
-            return answer.result(seconds)
-        except TimeoutError:
-            if answer.done():  # the timeout is the disk's own
-                raise
-            raise TimeoutError(f"no answer within {seconds:.0f} s: check its disk or the network") from None
-
-    def close(self) -> None:
-        """End the thread as soon as its disk answers."""
-        self._reads.put(None)
-
-
-def _results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
-    """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
-    reader = Reader()
-    seconds = ANSWER_SECONDS
-    for camera, read in reads:
-        try:
-            yield camera, reader.read(read, seconds)
-        except TimeoutError as error:
-            # the thread waits for the disk, perhaps for ever; the next cameras get another one, and less time
-            reader.close()
-            reader = Reader()
-            seconds = REDUCED_ANSWER_SECONDS
-            yield camera, error
-    reader.close()
 
 
 def nights_with_captures(site: Site) -> set[datetime.date]:
@@ -105,7 +33,7 @@ def nights_with_captures(site: Site) -> set[datetime.date]:
     ids = [camera.id for camera in site.cameras if camera.images is None]
     reads = ((name, functools.partial(_moments, site, name)) for name in ids)
     moments: set[datetime.datetime] = set()
-    for _, answer in _results_by_camera(reads):
+    for _, answer in results_by_camera(reads):
         # `find_captures` reports the cameras that time out
         if not isinstance(answer, TimeoutError):
             moments |= answer
@@ -155,7 +83,7 @@ def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
         return set()
     days: set[datetime.date] = set()
     reads = ((camera.id, functools.partial(_day_written, site, camera, today)) for camera in site.cameras)
-    for _, answer in _results_by_camera(reads):
+    for _, answer in results_by_camera(reads):
         if not isinstance(answer, TimeoutError):
             days |= answer
     return days
@@ -201,7 +129,7 @@ def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str
     # 2. The content of the files of this night.
     captures: dict[str, list[CaptureFile]] = {}
     reads = ((name, functools.partial(_with_digests, site, paths[name], digests)) for name in paths)
-    for name, files in _results_by_camera(reads):
+    for name, files in results_by_camera(reads):
         if isinstance(files, TimeoutError):
             faults[name] = str(files)
         else:
@@ -249,7 +177,7 @@ def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Pat
     listings: dict[str, _Listing] = {}
     faults: dict[str, str] = {}
     reads = ((camera.id, functools.partial(_listing, site, camera, date)) for camera in site.cameras)
-    for name, answer in _results_by_camera(reads):
+    for name, answer in results_by_camera(reads):
         if isinstance(answer, TimeoutError):
             faults[name] = str(answer)
         else:
@@ -349,14 +277,6 @@ def _with_digest(name: str, path: Path, digests: Digests) -> CaptureFile:
         return CaptureFile(printable(name), path, "", printable(reason))
 
 
-def with_current_digest(file: CaptureFile, digests: Digests) -> CaptureFile:
-    """The file with its present digest; "" if it is gone."""
-    try:
-        return replace(file, digest=digests.of(file.path))
-    except OSError:  # deleted since then
-        return replace(file, digest="")
-
-
 def when_complete(
     captures: Mapping[str, list[CaptureFile]], digests: Digests
 ) -> tuple[dict[str, list[CaptureFile]], frozenset[Path]]:
@@ -393,30 +313,3 @@ def _is_written(path: Path) -> bool:
         # FAT counts in steps of two seconds, so a file that is being written may seem that much older
         quiet += FAT_STEP_NS / 1e9
     return 0 <= time.time() - stamp_ns / 1e9 < quiet
-
-
-def changes_of(captures: Mapping[str, list[CaptureFile]], replaced: Collection[Path], digests: Digests) -> dict[str, list[str]]:
-    """Names, by camera, of captures that were replaced or have grown since their digests were computed.
-
-    A capture that has been deleted is not reported: recorders delete complete files.
-
-    replaced: files already known to have been replaced.
-    """
-    changes: dict[str, list[str]] = {}
-    reads = ((camera, functools.partial(_changed_names, files, replaced, digests)) for camera, files in captures.items())
-    for camera, names in _results_by_camera(reads):
-        # a mount that has died since is no evidence of a change
-        if names and not isinstance(names, TimeoutError):
-            changes[camera] = names
-    return changes
-
-
-def _changed_names(files: list[CaptureFile], replaced: Collection[Path], digests: Digests) -> list[str]:
-    names: list[str] = []
-    for file in files:
-        if not file.digest:
-            continue
-        digest_now = with_current_digest(file, digests).digest
-        if file.path in replaced or (digest_now and digest_now != file.digest):
-            names.append(file.name)
-    return names

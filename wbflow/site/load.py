@@ -17,6 +17,7 @@ from wbflow_stages.contracts.stated import LensModel
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import is_folder
 from ..errors import Location
+from ..pipeline.binding import Bindings
 from ..pipeline.functions import FunctionReader
 from ..pipeline.pairs import MOST_PAIRS_PER_VIEW
 from ..remote import is_url
@@ -55,7 +56,8 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     survey = read_survey(file, frame, problems)
     work_folder = _work_folder(str(work or ""), file, problems)
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
-    stages, notes = read_stages(file.stages, reader, problems)
+    bindings = Bindings(reader)
+    stages, notes = read_stages(file.stages, bindings, problems)
     _check_pairs(file, problems, notes)
     doubts = check_plausibility(file, cameras, stages, reader, problems)
     captures = _captures_pattern(file, problems)
@@ -76,7 +78,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
         survey,
         stages,
         work_folder,
-        reader,
+        bindings,
         tuple(notes.found),
         tuple(doubts.found),
     )

@@ -21,8 +21,8 @@ from wbflow_stages.contracts import defaults
 from wbflow_stages.contracts.stated import Survey
 
 from ..cache.layout import WorkFolder
-from ..pipeline.signature import Functions
-from ..pipeline.stages import STAGES
+from ..pipeline.binding import Bindings
+from ..pipeline.stages import STAGES, Stage, ancestors
 from ..records.keep import Keep
 from ..task import camera_of
 from ..words import bytes_of
@@ -525,7 +525,7 @@ class Site:
     stages: dict[str, StageSettings]
     """The settings of every stage; defaults if the file has none."""
     work_folder: WorkFolder
-    reader: Functions
+    bindings: Bindings
     notes: tuple[Problem, ...]
     """Remarks about entries that still work but should be written differently."""
     doubts: tuple[Problem, ...] = ()
@@ -545,6 +545,25 @@ class Site:
     def setting(self, key: str) -> Any:
         """The value of a key outside `stages` that sets a parameter of a stage, such as "resolution" or "pairs.degree"."""
         return reduce(getitem, key.split("."), self._plain_settings)
+
+    def stated(self, stage: Stage) -> dict[str, Any]:
+        """The parameters of a stage that the site file sets, in the stage's section or elsewhere."""
+        accepted = self.bindings.of(stage).parameters
+        elsewhere = {name: self.setting(key) for name, key in stage.set_by_site().items() if name in accepted}
+        return elsewhere | self.stages[stage.name].parameters
+
+    def active_stages(self, until: str | None = None) -> tuple[Stage, ...]:
+        """The stages that take part in a night, in order.  until: the last stage; None: all of them."""
+        requested = ancestors(until) if until else {stage.name for stage in STAGES}
+        disabled = {name for name, settings in self.stages.items() if not settings.enabled}
+        for stage in STAGES:
+            if callable(stage.optional) and not stage.optional(self):
+                disabled.add(stage.name)
+        # in order, so that an optional stage is disabled whenever one that it needs is, directly or not
+        for stage in STAGES:
+            if stage.optional and disabled & stage.needed():
+                disabled.add(stage.name)
+        return tuple(stage for stage in STAGES if stage.name in requested - disabled)
 
     def local(self, seconds: float) -> datetime.datetime:
         """Local time at the site at a moment (seconds since 1970), in `timezone` or else in this machine's time zone."""

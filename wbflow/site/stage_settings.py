@@ -12,8 +12,7 @@ from typing import Any
 from ..cache.fingerprint import FunctionError
 from ..cache.untrusted import is_file
 from ..errors import Location
-from ..pipeline.binding import Binding, bind, method_parameters, methods_with_file
-from ..pipeline.signature import Functions
+from ..pipeline.binding import Binding, Bindings, method_parameters, methods_with_file
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from ..words import printable
 from .models import StageSettings
@@ -41,9 +40,11 @@ REMOVED: Mapping[str, frozenset[str]] = {"fuse": frozenset({"neighbours"})}
 """Parameters of earlier versions that were removed without replacement, by stage; accepted and ignored, with a note."""
 
 
-def read_stages(sections: dict[str, Any], reader: Functions, problems: Problems) -> tuple[dict[str, StageSettings], Problems]:
-    """The settings of every stage, from the section `stages`, and notes on renamed or removed parameters; faults are added to
-    `problems`."""
+def read_stages(sections: dict[str, Any], bindings: Bindings, problems: Problems) -> tuple[dict[str, StageSettings], Problems]:
+    """The settings of every stage, from the section `stages`, and notes on renamed or removed parameters.
+
+    The stages with a section are bound in `bindings`; faults are added to `problems`.
+    """
     settings = {stage.name: StageSettings() for stage in STAGES}
     notes = Problems(problems.document)
     stages = {stage.name: stage for stage in STAGES}
@@ -60,7 +61,7 @@ def read_stages(sections: dict[str, Any], reader: Functions, problems: Problems)
         elif section is None or section is True or isinstance(section, dict):
             values = dict(section) if isinstance(section, dict) else {}
             use = values.pop("use", None)
-            settings[name] = _Section(stages[name], use, values, reader, problems, notes).read()
+            settings[name] = _Section(stages[name], use, values, bindings, problems, notes).read()
         else:
             remedy = f"write {name}: {{parameter: value}}"
             problems.add(location, f"{section!r} is not a mapping of parameters", remedy)
@@ -76,7 +77,7 @@ class _Section:
     """The value of the key `use`."""
     values: dict[str, Any]
     """All other values; while they are read, old names are replaced, and files are taken out."""
-    reader: Functions
+    bindings: Bindings
     problems: Problems
     notes: Problems
 
@@ -95,7 +96,7 @@ class _Section:
         # 1. the function, by present names of parameters
         try:
             old_names = self._update_renamed()
-            binding = bind(self.stage, self.use, self.values, self.reader)
+            binding = self.bindings.bind_section(self.stage, self.use, self.values)
         except FunctionError as error:
             what = f"{error.where}: {error.what}" if error.where else error.what
             self._add_problem(self.selector, what, error.remedy or _USE)
@@ -136,8 +137,8 @@ class _Section:
         if not (renamed.keys() | removed) & self.values.keys():
             return {}
         # a function of the site's own may have a parameter with an old name: that one is meant then
-        known = set(self.reader.signature(self.use or self.stage.function).parameters)
-        for parameters in method_parameters(self.stage, self.reader).values():
+        known = set(self.bindings.reader.signature(self.use or self.stage.function).parameters)
+        for parameters in method_parameters(self.stage, self.bindings.reader).values():
             known.update(parameters)
         for old in removed & self.values.keys() - known:
             del self.values[old]
@@ -204,8 +205,8 @@ class _Section:
     def _report_unknown(self, binding: Binding, key: str, written: str, allowed: list[str]) -> None:
         """Report a parameter that is unknown, or that only other methods than the chosen one read."""
         if binding.method:
-            methods = [name for name, known in method_parameters(self.stage, self.reader).items() if key in known]
-            methods += methods_with_file(self.stage, key, self.reader)
+            methods = [name for name, known in method_parameters(self.stage, self.bindings.reader).items() if key in known]
+            methods += methods_with_file(self.stage, key, self.bindings.reader)
             if methods:
                 what = f"{key!r} is not read by the chosen {self.selector}, {binding.method.dotted}"
                 self._add_problem(written, what, f"leave it out, or choose {self.selector}: {' or '.join(methods)}", key=True)

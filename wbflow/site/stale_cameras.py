@@ -15,7 +15,8 @@ from wbflow_stages.contracts.camera_figures import FrameFigures, Health
 from ..cache.checksum import content_digest
 from ..cache.memo import Digests, EarlierCaptures
 from .bursts import longest_gap
-from .captures import CaptureFile, captures_dated
+from .capture_files import CaptureFile
+from .captures import captures_dated
 from .models import Camera, Site
 
 FAR_OFF_HOURS = 3.0

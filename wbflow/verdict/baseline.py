@@ -17,7 +17,6 @@ from ..pipeline.stages import STAGES
 from ..records.findings import Baseline
 from ..records.record import RunRecord
 from ..records.run_folder import newest_runs
-from ..runner.bindings import Bindings
 from ..site.models import Expected, Measure, Site
 
 LEAST_MATCHED_SHARE = 0.25
@@ -166,13 +165,13 @@ def _health_by_appearance(
     return Health("ok", figures=figures, expected=base)
 
 
-def settings_of(site: Site, bindings: Bindings) -> str:
+def settings_of(site: Site) -> str:
     """Digest of everything that determines a night's results except its captures: the settings of the site file, and the code."""
     stages = []
     for stage in STAGES:
         settings = site.stages[stage.name]
         if settings.enabled:
-            bound = bindings.of(stage)
+            bound = site.bindings.of(stage)
             parameters = {**bound.defaults(), **settings.parameters}
             stages.append([stage.name, bound.function.dotted, bound.code, parameters])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]

@@ -93,7 +93,7 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
 
 def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:
     """Return the record with the figures it is compared with, the health of its cameras, its verdict and its exit code."""
-    settings = settings_of(night.site, night.bindings)
+    settings = settings_of(night.site)
     work = night.cache.work
     earlier = earlier_runs(work, record.run, record.date)
     usual = usual_before(earlier, settings, facts.expected.since)

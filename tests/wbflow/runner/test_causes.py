@@ -16,7 +16,7 @@ from wbflow import api
 from wbflow.cache.memo import Digests
 from wbflow.errors import WbflowError
 from wbflow.runner.state import Cause
-from wbflow.site import captures
+from wbflow.site import hanging_disks
 
 
 def events_of_newest_run(toy: ToySite) -> list[dict[str, Any]]:
@@ -129,7 +129,7 @@ def test_any_exception_of_a_stage_is_reported_with_class_stage_and_remedy(toy: T
 
 
 def test_a_capture_folder_that_does_not_answer_costs_only_its_camera(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(captures, "ANSWER_SECONDS", 0.5)
+    monkeypatch.setattr(hanging_disks, "ANSWER_SECONDS", 0.5)
     read = Digests.of
     dead = threading.Event()
 

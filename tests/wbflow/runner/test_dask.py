@@ -15,7 +15,7 @@ from wbflow.errors import UsageError, WbflowError
 from wbflow.runner.executors import Cluster, CodeMismatch, translate_paths
 from wbflow.runner.options import worker_roots
 from wbflow.runner.spec import Files, Input, Joined, Stored, TaskSpec
-from wbflow.site.captures import CaptureFile
+from wbflow.site.capture_files import CaptureFile
 from wbflow.task import Task
 
 distributed = pytest.importorskip("distributed", reason="the extra wbflow[dask] is not installed")

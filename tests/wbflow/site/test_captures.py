@@ -15,7 +15,9 @@ import pytest
 from wbflow.cache.memo import Digests, EarlierCaptures
 from wbflow.errors import UsageError
 from wbflow.site.bursts import burst_ends
-from wbflow.site.captures import Reader, backlog, changes_of, find_captures, night, nothing_matches
+from wbflow.site.capture_files import changes_of
+from wbflow.site.captures import backlog, find_captures, night, nothing_matches
+from wbflow.site.hanging_disks import Reader
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
 from wbflow.site.stale_cameras import find_stale
