@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from .binding import method_parameters
-from .functions import FunctionReader
-from .signature import Parameter
+from .signature import Functions, Parameter, Signature
 from .stages import COMPONENT, FUSE, Stage
 
 _SECTION = re.compile(r"^(?:Other )?Parameters\n-+\n(.*?)(?=^[^\n]+\n-+$|\Z)", re.MULTILINE | re.DOTALL)
@@ -46,34 +44,33 @@ class ParameterDoc:
         return [head, *textwrap.wrap(words, _WIDTH, initial_indent=f"{indent}    ", subsequent_indent=f"{indent}    ")]
 
 
-def describe(stage: Stage, reader: FunctionReader) -> list[str]:
+def describe(stage: Stage, reader: Functions) -> list[str]:
     """The lines that describe a stage and its methods at a terminal."""
-    parameters = reader.signature(stage.function).parameters
-    meaning, docs = document(stage.function, [p for name, p in parameters.items() if name not in stage.sources], reader)
+    function = reader.signature(stage.function)
+    parameters = function.parameters
+    meaning, docs = document(function, [p for name, p in parameters.items() if name not in stage.sources])
     offers = f"; a function of your own may also take {', '.join(stage.offers)}" if stage.offers else ""
     lines = [f"{stage.name}  (each {stage.scope})  {meaning}", f"  {stage.function}, from {', '.join(stage.inputs)}{offers}"]
     lines += [line for doc in docs for line in doc.lines("  ", _where_set(stage, doc.parameter.name))]
     if stage.method:
         table, own_parameters = reader.table(stage.method.table), method_parameters(stage, reader)
         for name, dotted in table.items():
-            meaning, docs = document(dotted, own_parameters[name].values(), reader)
+            meaning, docs = document(reader.signature(dotted), own_parameters[name].values())
             is_default = name == parameters[stage.method.parameter].default
             lines.append(f"  {name}{' (default)' if is_default else ''}: {meaning}")
             lines += [line for doc in docs for line in doc.lines("    ")]
     return lines
 
 
-def document(dotted: str, parameters: Iterable[Parameter], reader: FunctionReader) -> tuple[str, list[ParameterDoc]]:
+def document(function: Signature, parameters: Iterable[Parameter]) -> tuple[str, list[ParameterDoc]]:
     """The first paragraph of a function's docstring in one line, and unit and meaning of parameters."""
-    _, _, node = reader.modules.function(dotted)
-    text = ast.get_docstring(node) or ""
-    texts = _parameter_texts(text)
+    texts = _parameter_texts(function.doc)
     docs = []
     for parameter in parameters:
         unit, meaning = texts.get(parameter.name, ("", ""))
         default_unit = next((words for ending, words in _UNITS.items() if parameter.name.endswith(ending)), "")
         docs.append(ParameterDoc(parameter, unit or default_unit, meaning))
-    return " ".join(text.split("\n\n")[0].split()), docs
+    return " ".join(function.doc.split("\n\n")[0].split()), docs
 
 
 def _parameter_texts(docstring: str) -> dict[str, tuple[str, str]]:

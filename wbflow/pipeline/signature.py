@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Parameter:
         try:
             # strict validation of JSON accepts a list for a tuple and an integer for a float, but no other conversion
             TypeAdapter(self._type, config=_STRICT).validate_json(json.dumps(value))
+        except PydanticUserError:  # of a name in quotes within the annotation, which only the function's module knows
+            return None
         except (ValidationError, TypeError):
             kinds = [_type_name(kind) for kind in _alternatives(self._type) if not isinstance(kind, _LITERAL)]
             choices = ", ".join(map(str, self.choices))
@@ -52,7 +54,7 @@ class Parameter:
     @cached_property
     def _type(self) -> Any:
         try:
-            return eval(self.annotation, {"__builtins__": builtins, **vars(typing)})
+            return eval(self.annotation, {"__builtins__": builtins, "typing": typing, **vars(typing)})
         except (TypeError, NameError):  # not a valid type in Python either, such as list[int, int, int]
             return Any
 
@@ -91,6 +93,8 @@ class Signature:
     parameters: dict[str, Parameter]
     takes_any: bool
     """It has a `**` argument, which accepts any further keyword."""
+    doc: str
+    """Its docstring."""
 
     @property
     def names(self) -> set[str]:

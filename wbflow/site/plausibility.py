@@ -16,9 +16,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..errors import Location
-from ..pipeline.functions import FunctionReader
 from ..pipeline.parameter_docs import document
-from ..pipeline.signature import Parameter
+from ..pipeline.signature import Functions, Parameter
 from ..pipeline.stages import STAGES, Stage
 from ..words import format_size, number
 from .calibration.calibrated import Lens
@@ -60,7 +59,7 @@ FACTOR_OF_DEFAULT = 1000.0
 
 
 def check_plausibility(
-    file: SiteFile, cameras: Sequence[Camera], stages: Mapping[str, StageSettings], reader: FunctionReader, problems: Problems
+    file: SiteFile, cameras: Sequence[Camera], stages: Mapping[str, StageSettings], reader: Functions, problems: Problems
 ) -> Problems:
     """Add what cannot be meant to `problems`; returns what is only unlikely.
 
@@ -68,7 +67,7 @@ def check_plausibility(
     ----------
     file, cameras, stages : SiteFile, sequence of Camera, mapping
         The validated file, and its cameras and settings of stages with calibrations merged.
-    reader : FunctionReader
+    reader : Functions
         Tells the meaning of parameters.
     problems : Problems
         The problems of the file.
@@ -428,7 +427,7 @@ def _check_notify(file: SiteFile, folder: Path, doubts: Problems) -> None:
         )
 
 
-def _check_parameters(stages: Mapping[str, StageSettings], reader: FunctionReader, problems: Problems, doubts: Problems) -> None:
+def _check_parameters(stages: Mapping[str, StageSettings], reader: Functions, problems: Problems, doubts: Problems) -> None:
     """Are the numbers of the section `stages` of the order of their defaults, and shares below 1?"""
     by_name: dict[str, Stage] = {stage.name: stage for stage in STAGES}
     for name, settings in stages.items():
@@ -439,9 +438,10 @@ def _check_parameters(stages: Mapping[str, StageSettings], reader: FunctionReade
         if stage.method:
             dotted += reader.table(stage.method.table).values()
         for function in dotted:
-            known = reader.signature(function).parameters
+            signature = reader.signature(function)
+            known = signature.parameters
             used = [known[key] for key in settings.parameters if key in known]
-            _, docs = document(function, used, reader)
+            _, docs = document(signature, used)
             for doc in docs:
                 location = ("stages", name, doc.parameter.name)
                 value = settings.parameters[doc.parameter.name]

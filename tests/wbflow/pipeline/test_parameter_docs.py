@@ -19,12 +19,13 @@ from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_name
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
 def test_every_parameter_of_every_stage_has_a_meaning(stage: Stage) -> None:
     reader = FunctionReader()
-    own = [p for name, p in reader.signature(stage.function).parameters.items() if name not in {*stage.inputs, *stage.offers}]
-    meaning, docs = document(stage.function, own, reader)
+    function = reader.signature(stage.function)
+    own = [p for name, p in function.parameters.items() if name not in {*stage.inputs, *stage.offers}]
+    meaning, docs = document(function, own)
     assert meaning
     for name, parameters in method_parameters(stage, reader).items():
         assert stage.method
-        docs += document(reader.table(stage.method.table)[name], parameters.values(), reader)[1]
+        docs += document(reader.signature(reader.table(stage.method.table)[name]), parameters.values())[1]
     assert [doc.parameter.name for doc in docs if not doc.meaning and doc.parameter.name != "component"] == []
 
 

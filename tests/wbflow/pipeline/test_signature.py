@@ -69,16 +69,21 @@ def test_a_circularly_imported_annotation_accepts_any_value(tmp_path: Path) -> N
         ("tuple[float, float]", [1, 2.5], [1, 2, 3]),
         ("Sequence[int] | None", None, [1.5]),
         ("dict[str, float]", {"a": 1}, {"a": "b"}),
-        ("Path", "a", None),
+        ("list[Annotated[int, 'pixels']]", [1], ["a"]),
     ],
 )
-def test_nested_values_are_checked_and_classes_accept_any_value(
-    tmp_path: Path, annotation: str, fits: object, does_not: object
-) -> None:
-    head = "from pathlib import Path\nfrom collections.abc import Sequence\n"
+def test_nested_values_are_checked(tmp_path: Path, annotation: str, fits: object, does_not: object) -> None:
+    head = "from collections.abc import Sequence\nfrom typing import Annotated\n"
     parameter = signature(tmp_path, f"{head}def f(*, x: {annotation}):\n    pass\n").parameters["x"]
     assert parameter.problem(fits) is None
-    assert (parameter.problem(does_not) is None) == (annotation == "Path")
+    assert parameter.problem(does_not) is not None
+
+
+@pytest.mark.parametrize("annotation", ["Path", "list['Path']", "Itself", "1 / 0", "'no type'"])
+@pytest.mark.parametrize("value", ["a", None, [1]])
+def test_classes_and_annotations_that_are_no_types_accept_any_value(tmp_path: Path, annotation: str, value: object) -> None:
+    text = f"from pathlib import Path\nItself = Itself\ndef f(*, x: {annotation}, y=Itself):\n    pass\n"
+    assert signature(tmp_path, text).parameters["x"].problem(value) is None
 
 
 def test_a_union_of_a_type_and_choices_accepts_both() -> None:
