@@ -17,8 +17,8 @@ under one field.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields, replace
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ from .matcher import keypoint_matches
 Tilt = Literal["auto", "never", "always"]
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """Log odds of a candidate against "no partner", in nats.
 
     Without a field: `descriptor_base - descriptor_slope q`, q = descriptor distance over the local noise level of descriptors.
@@ -240,14 +239,14 @@ def _expect(
 
     # 2. their log odds
     log_odds = np.empty(len(i))
-    coefficients = np.array(astuple(replace(EVIDENCE, field_base=field_base)))
+    evidence = EVIDENCE._replace(field_base=field_base)
     forward = field.affine @ pair.frames1
     _score(
         i, j, q, pair.x2, forward, _log_scale(forward), pair.inverse_frames2, _log_scale(pair.inverse_frames2),
-        field.prediction, sigma, np.log(sigma / MIN_SIGMA_PX), trust, coefficients, log_odds,
+        field.prediction, sigma, np.log(sigma / MIN_SIGMA_PX), trust, evidence, log_odds,
     )  # fmt: skip
     if F is not None:
-        _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), coefficients, log_odds)
+        _score_epipolar(i, j, pair.x1, pair.x2, np.ascontiguousarray(F), evidence, log_odds)
 
     # 3. competition among those that are not hopeless
     likely = log_odds > LEAST_LOG_ODDS
@@ -274,24 +273,24 @@ def _score(
     sigma: Float64s,
     log_sigma: Float64s,
     trust: Float64s,
-    coefficients: Float64s,
+    evidence: Evidence,
     log_odds: Float64s,
 ) -> None:
-    """Log odds of the candidates i--j by `Evidence`, without the epipolar term; coefficients in the order of its fields.
+    """Log odds of the candidates i--j by `Evidence` with the `field_base` of this round, without the epipolar term.
 
     forward: keypoint frames of image 1 as the field maps them into image 2; log_scale1, log_scale2: log scale of these and of the
     inverse frames of image 2; log_sigma: ln(sigma / MIN_SIGMA_PX).
     """
-    # coefficients[3], `final_base`, is not read: the caller puts the base of its round into [2]
-    descriptor_base, descriptor_slope, base, _, slope, by_distance, by_sigma, by_scale, by_angle = coefficients[:9]
     for c in range(len(i)):
         a = i[c]
         b = j[c]
         # position: how far the keypoint of image 2 is from the prediction
         r2 = (x2[b, 0] - prediction[a, 0]) ** 2 + (x2[b, 1] - prediction[a, 1]) ** 2
         t = trust[a]
-        penalty = by_distance * np.log(1 + r2 / sigma[a] ** 2) + by_sigma * log_sigma[a]
-        log_odds[c] = (1 - t) * (descriptor_base - descriptor_slope * q[c]) + t * (base - slope * q[c] - penalty)
+        penalty = evidence.distance_weight * np.log(1 + r2 / sigma[a] ** 2) + evidence.sigma_weight * log_sigma[a]
+        by_descriptor = evidence.descriptor_base - evidence.descriptor_slope * q[c]
+        by_field = evidence.field_base - evidence.slope * q[c] - penalty
+        log_odds[c] = (1 - t) * by_descriptor + t * by_field
         # frames can only lower the odds: most candidates are hopeless already, even if they lie on the epipolar line
         if log_odds[c] < LEAST_LOG_ODDS - EPIPOLAR:
             continue
@@ -304,8 +303,9 @@ def _score(
         r11 = N[1, 0] * W[0, 1] + N[1, 1] * W[1, 1]
         turn = np.arctan2(r10 - r01, r00 + r11)
         zoom = log_scale1[a] + log_scale2[b]
-        by_frame = by_scale * np.log(1 + (zoom / FRAME_SCALE) ** 2) + by_angle * np.log(1 + (turn / FRAME_SCALE) ** 2)
-        log_odds[c] -= t * by_frame
+        by_scale = evidence.scale_weight * np.log(1 + (zoom / FRAME_SCALE) ** 2)
+        by_angle = evidence.angle_weight * np.log(1 + (turn / FRAME_SCALE) ** 2)
+        log_odds[c] -= t * (by_scale + by_angle)
 
 
 def _log_scale(m: Float64s) -> Float64s:
@@ -316,11 +316,9 @@ def _log_scale(m: Float64s) -> Float64s:
 
 @kernel
 def _score_epipolar(
-    i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, coefficients: Float64s, log_odds: Float64s
+    i: Int32s, j: Int32s, x1: Float64s, x2: Float64s, F: Float64s, evidence: Evidence, log_odds: Float64s
 ) -> None:
     """Add the evidence of the symmetric distance to the epipolar lines."""
-    base = coefficients[9]
-    weight = coefficients[10]
     for c in range(len(i)):
         x = x1[i[c], 0]
         y = x1[i[c], 1]
@@ -335,7 +333,7 @@ def _score_epipolar(
         # both distances share x2^T F x1
         algebraic = abs(u * a2 + v * b2 + c2)
         distance = 0.5 * algebraic * (1 / np.sqrt(a2 * a2 + b2 * b2) + 1 / np.sqrt(a1 * a1 + b1 * b1))
-        log_odds[c] += base - weight * np.log(1 + distance * distance)
+        log_odds[c] += evidence.epipolar - evidence.epipolar_weight * np.log(1 + distance * distance)
 
 
 MAX_RATIO = 0.85
