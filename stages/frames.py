@@ -172,7 +172,9 @@ def _merged_frame(
     if not trusted.any():
         raise BadCapture("mask, privacy polygons and moving things leave no pixel to use")
     noise = remaining_noise(signal.noise, len(images), width / camera.width)
-    image = background.image  # the statistics below are those of the picture before it is denoised
+    # the statistics are those of the picture before it is denoised
+    statistics = image_statistics(background.image, allowed)
+    image = background.image
     if denoise and noise >= NOISY:
         image = denoised(image, noise)
         notes.append(f"noisy, {signal.noise:.0f} grey levels a capture: denoised")
@@ -184,8 +186,15 @@ def _merged_frame(
         trusted,
         camera.view(width, height),
         notes=(*notes, *weight_notes),
-        **{name: known_or_none(figure) for name, figure in vars(image_statistics(background.image, allowed)).items()},
-        **vars(signal),
+        brightness=known_or_none(statistics.brightness),
+        contrast=known_or_none(statistics.contrast),
+        saturated=known_or_none(statistics.saturated),
+        sharpness=known_or_none(statistics.sharpness),
+        combing=signal.combing,
+        blocking=signal.blocking,
+        cast=signal.cast,
+        colour=signal.colour,
+        noise=signal.noise,
         blur_px=known_or_none(blur_px(background.image, allowed)),
         detail_px=detail_px(background.image, allowed, noise),
         noise_left=noise,

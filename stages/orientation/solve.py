@@ -216,8 +216,9 @@ def _issues(
             solved[graph.names[view]] = camera
     undetermined = []
     for name in graph.names:
-        if name in sigmas and not sigmas[name].border_px <= MOST_SIGMA_PX:  # "not": it may be nan
-            undetermined.append(PoseIssue("lens-undetermined", name, **vars(sigmas[name])))
+        lens = sigmas.get(name)
+        if lens and not lens.border_px <= MOST_SIGMA_PX:  # "not": it may be nan
+            undetermined.append(PoseIssue("lens-undetermined", name, focal=lens.focal, border_px=lens.border_px))
 
     # 3. Models that matches strain; those with two known cameras have their frame, which strains them, too.
     strains = {}

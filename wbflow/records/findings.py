@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BeforeValidator, model_serializer
+from pydantic import model_serializer
 
 from ..json_dataclass import JsonDataclass
 from ..words import DISK_FULL_REMEDY
@@ -20,28 +20,12 @@ Figures = Mapping[str, Any]
 
 Level = Literal["good", "degraded", "failed"]
 
-FINDING_ALIASES = {
-    "camera-nudged": "camera-shifted",
-    "camera-blind": "camera-obscured",
-    "camera-foreign": "camera-wrong-scene",
-    "camera-fruitless": "camera-no-usable-pair",
-    "camera-alone": "camera-unpaired",
-    "poses-strained": "poses-inconsistent",
-}
-"""Finding codes of versions before 0.2: still read for one more version, and written in addition to the new ones as `alias`."""
-_FORMER_CODES = {new: old for old, new in FINDING_ALIASES.items()}
-
-
-def _with_current_names(aliases: Mapping[str, str]) -> BeforeValidator:
-    """Return a validator that replaces names of earlier versions with the current ones."""
-    return BeforeValidator(lambda name: aliases.get(name, name) if isinstance(name, str) else name)
-
 
 @dataclass(frozen=True)
 class Finding(JsonDataclass):
     """A problem that the operator should look at."""
 
-    kind: Annotated[str, _with_current_names(FINDING_ALIASES)]
+    kind: str
     """Its code in `FINDINGS`: camera-lost, fewer-pairs, task-failed, ..."""
     subject: tuple[str, ...]
     """() for the site, (camera,), (left, right), or all cameras concerned."""
@@ -67,7 +51,11 @@ class Finding(JsonDataclass):
 
     @model_serializer(mode="wrap")
     def _with_alias(self, write: Any) -> dict[str, Any]:
-        return {**write(self), **({"alias": _FORMER_CODES[self.kind]} if self.kind in _FORMER_CODES else {})}
+        data: dict[str, Any] = write(self)
+        row = FINDINGS.get(self.kind)
+        if row and row.alias:
+            data["alias"] = row.alias
+        return data
 
 
 @dataclass(frozen=True)
@@ -83,6 +71,8 @@ class FindingType:
     """Text for the operator; the names in braces are filled in."""
     level: Level = "degraded"
     """Level of a night with this finding, unless the site file tolerates it."""
+    alias: str = ""
+    """The code by which other programs know the finding, written beside its own."""
 
 
 _USED_AGAIN = "it is used again as soon as it delivers usable captures"
@@ -155,6 +145,7 @@ FINDINGS: Mapping[str, FindingType] = {
             "camera-obscured",
             "A camera's picture shows too little: it is dark, covered, dirty or out of focus.",
             "check its lens, focus and lighting, and whether something blocks its view",
+            alias="camera-blind",
         ),
         FindingType(
             "camera-stale",
@@ -165,11 +156,13 @@ FINDINGS: Mapping[str, FindingType] = {
             "camera-wrong-scene",
             "A camera shows another place.",
             "check which camera is connected to this input, and where it points; if it was moved for good, pin a new reference",
+            alias="camera-foreign",
         ),
         FindingType(
             "camera-shifted",
             "A camera has turned slightly: its pose is corrected, and it stays in use.",
             "fasten it; if it is to stay like this, pin a new reference",
+            alias="camera-nudged",
         ),
         FindingType(
             "camera-moved",
@@ -186,11 +179,13 @@ FINDINGS: Mapping[str, FindingType] = {
             "A camera is in no pair.",
             "check where it points, and `pairs:` in the site file",
             "no other camera seems to see enough of what it sees: it is in no pair",
+            alias="camera-alone",
         ),
         FindingType(
             "camera-no-usable-pair",
             "None of a camera's pairs could be used.",
             "check where it points, and whether something blocks its view",
+            alias="camera-fruitless",
         ),
         FindingType(
             "captures-in-motion",
@@ -270,6 +265,7 @@ FINDINGS: Mapping[str, FindingType] = {
             "state measured poses and lenses; or add a camera between those that are far apart",
             "matches contradict each other: {cameras}; {reason}: the scene has repeating structures, or a stated lens is wrong; "
             "poses and cloud may be distorted even though they fit the pictures",
+            alias="poses-strained",
         ),
         FindingType(
             "lens-undetermined",

@@ -7,7 +7,7 @@ them.  The limits were fitted on scenes with known truth, so that they are excee
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from statistics import median
 
 from ..records.findings import Finding, finding
@@ -50,11 +50,6 @@ SOFT_SHARE = 1 / 3
 """Unless an image is soft by itself, doubtful images are reported only from this share of the cameras in use: a single camera may
 see what is hard to measure."""
 
-_SOFT_LIMITS: Mapping[str, float] = {"blur_px": SOFT_PX, "coarseness": COARSE, "noise_left": NOISY}
-"""Limits of the figures that make an image soft by itself."""
-_SHOWN_FIGURES = ("detail_px", "saturated", "contrast", "misfit")
-"""Further figures in the finding."""
-
 
 def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Are images too blurred, noisy, badly lit or coarsely coded for measuring?"""
@@ -69,11 +64,17 @@ def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
 
 def _soft_finding(cameras: Sequence[CameraRecord], record: RunRecord) -> Finding:
     """Return the finding about soft and doubtful images, with the worst value of each figure."""
-    worst: dict[str, float] = {}
-    for name in (*_SOFT_LIMITS, *_SHOWN_FIGURES):
-        worst[name] = max(_figure(camera, name) for camera in cameras)
-    worst["off_px"] = max(_off_px(camera, record) for camera in cameras)
-    worst["contrast"] = min(_figure(camera, "contrast") for camera in cameras)  # here the smallest is the worst
+    figures = [camera.figures for camera in cameras]
+    worst = {
+        "blur_px": max(_measured(each.blur_px) for each in figures),
+        "coarseness": max(_measured(each.coarseness) for each in figures),
+        "noise_left": max(_measured(each.noise_left) for each in figures),
+        "detail_px": max(_measured(each.detail_px) for each in figures),
+        "saturated": max(_measured(each.saturated) for each in figures),
+        "contrast": min(_measured(each.contrast) for each in figures),  # here the smallest is the worst
+        "misfit": max(_measured(each.misfit) for each in figures),
+        "off_px": max(_off_px(camera, record) for camera in cameras),
+    }
     fit = ""
     if worst["misfit"]:
         fit = f", points {worst['misfit']:.1f} times as far off as expected"
@@ -86,7 +87,11 @@ def _soft_finding(cameras: Sequence[CameraRecord], record: RunRecord) -> Finding
 
 def _is_soft(camera: CameraRecord) -> bool:
     """Is a camera out of focus, noisy or coarsely coded, by its images alone?"""
-    return any(_figure(camera, name) > limit for name, limit in _SOFT_LIMITS.items())
+    figures = camera.figures
+    is_blurred = _measured(figures.blur_px) > SOFT_PX
+    is_coarse = _measured(figures.coarseness) > COARSE
+    is_noisy = _measured(figures.noise_left) > NOISY
+    return is_blurred or is_coarse or is_noisy
 
 
 def _is_doubtful(camera: CameraRecord, record: RunRecord) -> bool:
@@ -102,39 +107,39 @@ def _is_doubtful(camera: CameraRecord, record: RunRecord) -> bool:
 
 
 def _is_overexposed(camera: CameraRecord) -> bool:
-    return _figure(camera, "saturated") > OVEREXPOSED
+    return _measured(camera.figures.saturated) > OVEREXPOSED
 
 
 def _is_faint(camera: CameraRecord) -> bool:
     """Have a camera's images little contrast?  0 means that it was not measured."""
-    return 0.0 < _figure(camera, "contrast") < FAINT
+    return 0.0 < _measured(camera.figures.contrast) < FAINT
 
 
 def _is_unresolved(camera: CameraRecord) -> bool:
     """Are a camera's images less resolved, by their points' errors, than their pixels promise?"""
-    misfit = _figure(camera, "misfit")
+    misfit = _measured(camera.figures.misfit)
     if misfit > MOST_MISFIT:
         return True
-    return misfit > LEAST_MISFIT and misfit * _figure(camera, "detail_px") > UNRESOLVED
+    return misfit > LEAST_MISFIT and misfit * _measured(camera.figures.detail_px) > UNRESOLVED
 
 
 def _is_blurred_by_coding(camera: CameraRecord) -> bool:
-    return _figure(camera, "misfit") * _figure(camera, "coarseness") > BLURRED_BY_CODING
+    return _measured(camera.figures.misfit) * _measured(camera.figures.coarseness) > BLURRED_BY_CODING
 
 
 def _is_unsteady(camera: CameraRecord, record: RunRecord) -> bool:
     """Are a camera's images distorted so that no F fits its matches?"""
-    return _figure(camera, "misfit") * _off_px(camera, record) > UNSTEADY
+    return _measured(camera.figures.misfit) * _off_px(camera, record) > UNSTEADY
 
 
 def _is_worse_than_usual(camera: CameraRecord, record: RunRecord) -> bool:
     usual = _usual_misfit(camera, record)
-    return usual > 0 and _figure(camera, "misfit") > WORSE_THAN_USUAL * usual
+    return usual > 0 and _measured(camera.figures.misfit) > WORSE_THAN_USUAL * usual
 
 
-def _figure(camera: CameraRecord, name: str) -> float:
-    """Return a figure of a camera; 0 if it was not measured."""
-    return float(getattr(camera.figures, name) or 0.0)
+def _measured(figure: float | None) -> float:
+    """Return a figure; 0 if it was not measured."""
+    return float(figure or 0.0)
 
 
 def _usual_misfit(camera: CameraRecord, record: RunRecord) -> float:
