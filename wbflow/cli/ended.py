@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ExitCode
-from ..records.changes import change_words, count_words, open_changes
+from ..records.changes import change_words, open_changes
 from ..records.record import NO_SCALE, STATE_SCALE
 from ..verdict.consequences import consequences
 from ..words import counted
@@ -80,12 +80,12 @@ def print_findings(record: RunRecord, err: bool) -> None:
 def _level_words(record: RunRecord, level: str) -> str:
     """Return the level of a night, and what has changed: "good, 1 change: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0"."""
     changes = change_words(record)
-    if changes:
-        count = count_words(record)
-        return f"{level}, {f'{count}: ' if count else ''}{changes}"
-    acknowledged = len(record.changes)
-    note = f"; {counted(acknowledged, 'change')} acknowledged" if acknowledged else ""
-    return f"{LEVELS[level]}{note}"
+    words = f"{level}, {changes}" if changes else LEVELS[level]
+    if record.changes and not open_changes(record):
+        words += f"; {counted(len(record.changes), 'change')} acknowledged"
+    if record.verdict and record.verdict.recovered:
+        words += f"; no more {', '.join(record.verdict.recovered)}"
+    return words
 
 
 def _print_findings(findings: Sequence[Finding], err: bool) -> None:
@@ -135,7 +135,7 @@ def next_step(finished: Run, site: Path) -> str:
         return f"look at the report, or: wbflow check {file}"
     changes = open_changes(record)
     if changes:
-        return f"look at the report; if {changes[0].id} may stay: wbflow acknowledge {file} {changes[0].id} --note WHY"
+        return f"look at the report; for what is as it should be: wbflow acknowledge {file} {changes[0].id} --note WHY"
     if len(finished.cache.work.run_ids()) > 1:
         return f"wbflow compare {file}"
     return f"wbflow export {file} --mesh --out mesh"

@@ -84,7 +84,9 @@ def history(site: Path, as_json: bool, changes: bool, csv: bool, work: str | Non
         points = f"{row.points:,}" if row.points else "-"
         figures = f"{row.wall:7.1f} {tasks:>11} {points:>10} {row.exit_code:4}"
         is_same = bool(entry.reason) and entry.reason == reason
-        words = f"{entry.words}, as before" if is_same else entry.words
+        words = entry.words
+        if is_same and entry.verdict:
+            words = f"{entry.verdict.level}, as before"
         echo(f"{row.date:10} {row.run:16} {figures} {words}".rstrip(), level=entry.verdict.level if entry.verdict else "")
         if entry.reason and not is_same:
             echo(f"           {entry.reason}", indent=11)
@@ -270,7 +272,7 @@ def acknowledge(site: Path, words: tuple[str, ...], until: Day | None, note: str
     elif drop:
         echo(f"{named} counts again, from the next run on")
     else:
-        echo(f"{named}: {entry.words}; from the next run on")
+        echo(f"{named}: {entry.words}; from the next run on", indent=4)
 
 
 def _list_acknowledged(site: Site, as_json: bool) -> None:

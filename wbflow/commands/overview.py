@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..cache.atomic import free_bytes
 from ..cache.layout import WorkFolder
 from ..cache.lock import holder_of
-from ..pipeline.summaries import ChangesSummary
+from ..records.changes import change_words
 from ..records.killed_runs import KilledRun, killed_runs
 from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -28,7 +28,7 @@ class Overview:
     cameras: str
     """How many cameras were in use, and since when the others are not."""
     changes: str
-    """How many changes nobody has acknowledged."""
+    """The changes that nobody has acknowledged."""
     disk: str
     """Free space, and how much a night takes."""
     next_run: str
@@ -86,15 +86,13 @@ def _since(camera: CameraRecord) -> str:
 
 
 def _changes(record: RunRecord | None) -> str:
-    """Return how many changes nobody has acknowledged."""
-    for result in record.results.values() if record else ():
-        if isinstance(result, ChangesSummary) and result.changes is not None:
-            changes = result.objects.values()
-            unacknowledged = sum(not change.acknowledged for change in changes)
-            if unacknowledged:
-                return f"{unacknowledged} that nobody has acknowledged"
-            return f"{len(changes)}, all acknowledged" if changes else "none"
-    return "not known: the last night was not compared with a reference"
+    """Return the changes that nobody has acknowledged."""
+    if record is None or record.compared is None:
+        return "not known: the last night was not compared with a reference"
+    words = change_words(record)
+    if words:
+        return words
+    return f"{len(record.changes)}, all acknowledged" if record.changes else "none"
 
 
 def _disk(night: Night) -> str:

@@ -58,9 +58,19 @@ def count_words(record: RunRecord) -> str:
 def change_words(record: RunRecord) -> str:
     """Return the changes of a night that nobody has acknowledged, and those that are gone, in a line; "" if there are none.
 
-    For example "C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02, 6.1 x 2.4 x 2.6 m at 4.0, 7.5; C2 gone".
+    For example "2 changes: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02, 6.1 x 2.4 x 2.6 m at 4.0, 7.5".
     """
-    told = open_changes(record)
+    count = count_words(record)
+    words = _words(record, open_changes(record))
+    return f"{count}: {words}" if count else words
+
+
+def news_words(record: RunRecord) -> str:
+    """Return the changes that are new or have grown on a night, and those that are gone, in a line; "" if there are none."""
+    return _words(record, [change for change in open_changes(record) if change.news == record.date])
+
+
+def _words(record: RunRecord, told: list[RecordedChange]) -> str:
     texts = [f"{change.id} {change.words(record.unit, record.date)}" for change in told[:MOST_TOLD]]
     if len(told) > MOST_TOLD:
         texts.append(f"and {len(told) - MOST_TOLD} more")

@@ -11,7 +11,7 @@ from typing import Any
 from ..cache.layout import WorkFolder
 from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import RecordedChange, volume_words
-from .changes import change_words, count_words
+from .changes import count_words, news_words
 from .findings import Verdict
 from .killed_runs import KilledRun, killed_runs
 from .ledger import Ledger, LedgerRun
@@ -36,7 +36,7 @@ class Entry:
     changes: str = ""
     """How many changes nobody has acknowledged: "2 changes"; "" for none."""
     reason: str = ""
-    """The first finding, and what has changed, in a line; how far a killed run came; "" for none."""
+    """The first finding, and what has changed on that night, in a line; how far a killed run came; "" for none."""
 
     @property
     def words(self) -> str:
@@ -69,9 +69,9 @@ def _entry(run: LedgerRun, record: RunRecord | None, cleaned: bool) -> Entry:
     if record is None:
         return Entry(run, None, cleaned)
     reasons = [str(finding) for finding in record.verdict.findings[:1]] if record.verdict else []
-    changes = change_words(record)
-    if changes:
-        reasons.append(changes)
+    news = news_words(record)
+    if news:
+        reasons.append(news)
     return Entry(run, record.verdict, cleaned, changes=count_words(record), reason="; ".join(reasons))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache import artifact
-from ..cache.layout import cloud_name
+from ..cache.layout import WorkFolder, cloud_name
 from ..cache.ply import ply_bytes, with_comments
 from ..errors import UsageError, WbflowError
 from ..pipeline.stages import CHANGES, FUSE, POSES, stage_named
@@ -21,7 +21,7 @@ from ..records.events import TaskEvent
 from ..records.finished_run import Run
 from ..records.metrics import metrics
 from ..records.record import CameraRecord, RunRecord
-from ..records.run_folder import UnfinishedRun
+from ..records.run_folder import UnfinishedRun, compared_before
 from ..site.geodesy import origin_of
 from ..site.models import Site
 from ..task import Task
@@ -95,6 +95,9 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
     acknowledged = _acknowledged(night.site, journal)
     facts = replace(facts_of(ended, products is None), upload_finding=journal.upload(), acknowledged=acknowledged)
     record = judge_run(record, night, facts)
+    if twice := _given_twice(night.cache.work, record):
+        what = f"{', '.join(twice)}: on nights after this one, which ran before it, these are ids of other things"
+        journal.warn(what, remedy=f"run them again, in order: wbflow run SITE.yaml --since {record.date}")
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
     # 3. the report, and the folder as a whole
     page = draw(night, record, journal, cameras, unfinished.paths.folder)
@@ -103,6 +106,20 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
         night.site.bindings.reader.save()
     tasks = {event.task: event for event in journal.events if isinstance(event, TaskEvent)}
     return Run(folder, record, tasks, night.cache)
+
+
+def _given_twice(work: WorkFolder, record: RunRecord) -> list[str]:
+    """Return the ids that changes have got tonight although other changes have them on later nights: an old night, run again with
+    other captures, or for the first time, cannot know them."""
+    twice: dict[str, None] = {}
+    for _, later in compared_before(work, ""):
+        if later.date <= record.date:
+            break
+        for name, change in record.changes.items():
+            other = later.changes.get(name)
+            if change.first == record.date and other and other.first != change.first:
+                twice[name] = None
+    return [*twice]
 
 
 def _with_motion(camera: CameraRecord, harmful: Mapping[str, list[str]], harmless: Mapping[str, list[str]]) -> CameraRecord:

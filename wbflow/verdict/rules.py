@@ -25,7 +25,7 @@ from ..runner.night import Night
 from ..runner.state import Cause, State
 from ..site.models import Measure
 from ..task import Task
-from .acknowledge import split, with_known
+from .acknowledge import name_of, split, with_known
 from .amounts import check_amounts, check_cloud
 from .baseline import earlier_runs, settings_of, usual_before, usual_of, with_appearance
 from .calibration import check_calibration
@@ -127,7 +127,12 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
     elif "degraded" in levels:
         level = "degraded"
     code = ExitCode.INTERRUPTED if facts.interrupted else ExitCode[level.upper()]
-    return replace(record, verdict=Verdict(level, findings, acknowledged), exit_code=code)
+    # 4. what a good night no more has
+    recovered: tuple[str, ...] = ()
+    if level == "good" and facts.earlier and facts.earlier[0].verdict:
+        still = {name_of(entry) for entry in reported}
+        recovered = tuple(name for entry in facts.earlier[0].verdict.findings if (name := name_of(entry)) not in still)
+    return replace(record, verdict=Verdict(level, findings, acknowledged, recovered), exit_code=code)
 
 
 def _is_tolerated(entry: Finding, record: RunRecord, facts: Facts) -> bool:

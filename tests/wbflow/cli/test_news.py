@@ -164,6 +164,18 @@ def test_a_change_where_none_is_expected_degrades_the_night_until_it_is_acknowle
     assert run(site, "2026-11-16").exit_code == 0
 
 
+def test_a_night_after_a_bad_one_says_what_is_no_more(site: ToySite) -> None:
+    run(site, "2026-11-15")
+    site.capture("roof", "2026-11-16").write_text("obscured: roof")
+    done = run(site, "2026-11-16")
+    assert done.exit_code != 0
+    done = run(site, "2026-11-17")
+    assert done.exit_code == 0
+    line = next(line for line in done.output.splitlines() if line.startswith("toy, night of"))
+    assert "; no more " in line
+    assert "camera-obscured roof" in line
+
+
 def test_a_zone_to_notify_of_must_exist(site: ToySite) -> None:
     site.keys = {
         "notify": {"command": "true", "changes": {"zones": ["quai"]}},

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
+from wbflow.cache.layout import WorkFolder
 
 NIGHTS = {
     "2026-11-14": "",
@@ -84,6 +85,8 @@ def test_the_rerun_of_an_old_night_goes_on_from_the_night_before_it(site: ToySit
     for date in ("2026-11-16", "2026-11-18"):
         again = site.run("--date", date)
         assert again["tasks"]["ran"] == 0
+        log = (site.work / "runs" / again["run"] / "log.jsonl").read_text()
+        assert "ids of other things" not in log
         assert again["changes"]["changes"] == found[date]["changes"]
 
 
@@ -91,6 +94,8 @@ def test_a_night_that_is_run_late_goes_on_from_the_night_before_it(site: ToySite
     for date in ("2026-11-14", "2026-11-15", "2026-11-18"):
         run(site, date)
     assert ids(run(site, "2026-11-16")) == {"stack": "C1", "van": "C2", "box": "C3"}
+    log = (site.work / "runs" / max(WorkFolder(site.work).run_ids()) / "log.jsonl").read_text()
+    assert "C2, C3: on nights after this one, which ran before it, these are ids of other things" in log
     assert ids(run(site, "2026-11-17")) == {"van": "C2", "box": "C3"}
     assert ids(run(site, "2026-11-18")) == {"van": "C2", "box": "C3", "tent": "C4"}
 
