@@ -44,6 +44,9 @@ class ChangeSummary(JsonDataclass):
     volume_least: float
     volume_most: float
     seen: bool
+    first: str
+    last: str
+    """The first night on which it was seen, and the newest one."""
     acknowledged: str
     picture: str
     """File in the run's folder that shows it on both nights; "" if there is none."""
@@ -61,10 +64,8 @@ class RunSummary(JsonDataclass):
     findings: tuple[FindingSummary, ...] = ()
     """The first `MOST_FINDINGS` findings."""
     finding_count: int = 0
-    metric: bool = True
-    """Are lengths known to be metres?"""
-    reference: str = ""
-    """The run that it was compared with."""
+    unit: str = "m"
+    """The unit of lengths: m, or "" if the scale is unknown."""
     compared: bool = False
     """Were changes looked for?"""
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -72,6 +73,8 @@ class RunSummary(JsonDataclass):
     volumes: Mapping[str, CutFill] = field(default_factory=dict)
     """Volumes gained and lost, by zone; "" is the whole site."""
     changes: tuple[ChangeSummary, ...] = ()
+    gone: tuple[str, ...] = ()
+    """Ids of the changes of the night before that are there no more."""
 
 
 def summary_of(record: RunRecord) -> RunSummary:
@@ -81,30 +84,25 @@ def summary_of(record: RunRecord) -> RunSummary:
     if record.verdict:
         level = record.verdict.level
         findings = record.verdict.findings
-    volumes: dict[str, CutFill] = {}
-    changes: list[ChangeSummary] = []
-    for result in record.results.values():
-        volumes.update(result.volumes)
-        for name, change in result.objects.items():
-            changes.append(_change(name, change, result.files))
+    compared = record.compared
     return RunSummary(
         run=record.run,
         date=record.date,
         level=level,
         findings=tuple(FindingSummary(str(finding), finding.remedy) for finding in findings[:MOST_FINDINGS]),
         finding_count=len(findings),
-        metric=record.poses is None or record.poses.metric,
-        reference=record.reference or "",
-        compared=bool(volumes),
+        unit=record.unit,
+        compared=compared is not None,
         figures=_figures(record),
-        volumes=volumes,
-        changes=tuple(changes),
+        volumes=compared.volumes if compared else {},
+        changes=tuple(_change(name, change, record) for name, change in record.changes.items()),
+        gone=tuple(compared.gone) if compared else (),
     )
 
 
-def _change(name: str, change: RecordedChange, files: tuple[str, ...]) -> ChangeSummary:
+def _change(name: str, change: RecordedChange, record: RunRecord) -> ChangeSummary:
     picture = ""
-    for file in files:
+    for file in record.compared.files if record.compared else ():
         if Path(file).stem.endswith(f"-{name}"):
             picture = file
     return ChangeSummary(
@@ -118,6 +116,8 @@ def _change(name: str, change: RecordedChange, files: tuple[str, ...]) -> Change
         volume_least=change.volume_least,
         volume_most=change.volume_most,
         seen=change.seen,
+        first=change.first or record.date,
+        last=change.last or record.date,
         acknowledged=change.acknowledged,
         picture=picture,
     )

@@ -19,6 +19,7 @@ from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
 from ..cache.untrusted import read_untrusted
 from ..pipeline.meanings import meaning, titled
+from ..pipeline.summaries import volume_words
 from ..records.killed_runs import KilledRun, killed_runs
 from ..records.ledger import Ledger
 from ..records.run_folder import NoSuchRun
@@ -64,7 +65,7 @@ class Night:
     new: tuple[str, ...]
     """Ids of the changes that it saw first."""
     gone: tuple[str, ...]
-    """Ids of the changes that it saw no more."""
+    """Ids of the changes that are there no more since it."""
 
     @property
     def day(self) -> datetime.date:
@@ -87,13 +88,12 @@ class Thing:
 
     change: ChangeSummary
     """As it was seen on its last night."""
-    first: str
-    last: str
-    """The first and the last night on which it was there."""
+    volume: str
+    """Its volume in words."""
     end: str
-    """The first compared night after the last one; "" if it is still there."""
-    end_words: str
-    """Why it ended: it is gone, or nights are compared with another reference."""
+    """The night since which it is there no more, or is not compared any more; "" if it is still there."""
+    is_gone: bool
+    """False: nights are compared with another reference since its end."""
     report: str
     """Link to the report of the last night; "" if there is none any more."""
     picture: str
@@ -144,7 +144,6 @@ def site_page(site: Site, out: Path) -> str:
         most_gone=_MOST_GONE,
         charts=_charts(nights),
         unit=_unit(nights),
-        volume_words=_volume_words,
         place=place_of(work),
     )
 
@@ -163,7 +162,6 @@ def _nights(work: WorkFolder, runs: Sequence[RunSummary], killed: Sequence[Kille
     for dead in killed:
         killed_of.setdefault(dead.date, []).append(dead)
     shown = {date: of_night[-1] for date, of_night in sorted(runs_of.items())}
-    new, gone = _first_and_gone(list(shown.values()))
     nights = []
     for date in sorted(runs_of.keys() | killed_of.keys()):
         last = shown.get(date)
@@ -177,32 +175,11 @@ def _nights(work: WorkFolder, runs: Sequence[RunSummary], killed: Sequence[Kille
                 cleaned=paths is not None and not paths.record.is_file(),
                 killed=tuple(killed_of.get(date, ())),
                 run_count=len(runs_of.get(date, ())) + len(killed_of.get(date, ())),
-                new=tuple(new.get(date, ())),
-                gone=tuple(gone.get(date, ())),
+                new=tuple(change.id for change in last.changes if change.first == date) if last else (),
+                gone=last.gone if last else (),
             )
         )
     return nights
-
-
-def _first_and_gone(runs: Sequence[RunSummary]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return, by night, the ids of changes that were there for the first time, and of those that were there no more.
-
-    Nights that looked for no changes say nothing of them; with another reference, changes begin anew.
-    """
-    new: dict[str, list[str]] = {}
-    gone: dict[str, list[str]] = {}
-    known: set[str] = set()
-    before: RunSummary | None = None
-    for run in runs:
-        if not run.compared:
-            continue
-        ids = [change.id for change in run.changes]
-        new[run.date] = [name for name in ids if name not in known]
-        if before is not None and before.reference == run.reference:
-            gone[run.date] = [change.id for change in before.changes if change.id not in ids]
-        known.update(ids)
-        before = run
-    return new, gone
 
 
 def _link(path: Path, folder: Path) -> str:
@@ -212,45 +189,46 @@ def _link(path: Path, folder: Path) -> str:
 def _things(work: WorkFolder, nights: Sequence[Night]) -> list[Thing]:
     """Return every change: those that are there first, the newest first."""
     period = Period(nights[0].day, nights[-1].day)
-    # 1. the nights of each change
+    unit = _unit(nights)
+    # 1. the last night of each change, and the night since which it is gone
     compared = [night for night in nights if night.run and night.run.compared]
-    nights_of: dict[str, list[tuple[int, ChangeSummary]]] = {}
+    last_of: dict[str, tuple[int, ChangeSummary]] = {}
+    gone_on: dict[str, str] = {}
     for index, night in enumerate(compared):
         for change in night.run.changes if night.run else ():
-            nights_of.setdefault(change.id, []).append((index, change))
+            last_of[change.id] = (index, change)
+        gone_on.update(dict.fromkeys(night.gone, night.date))
     # 2. how each of them ended
     things = []
-    for name, seen in nights_of.items():
-        last_index, change = seen[-1]
-        first = compared[seen[0][0]]
-        last = compared[last_index]
-        end = compared[last_index + 1] if last_index + 1 < len(compared) else None
-        left, width = period.part(first.day, last.day)
+    for name, (index, change) in last_of.items():
+        last = compared[index]
+        next_date = compared[index + 1].date if index + 1 < len(compared) else ""
+        interval = (change.volume_least, change.volume_most)
+        left, width = period.part(max(datetime.date.fromisoformat(change.first), period.first), last.day)
         things.append(
             Thing(
                 change=change,
-                first=first.date,
-                last=last.date,
-                end=end.date if end else "",
-                end_words="gone" if end and name in end.gone else "not compared any more" if end else "",
+                volume=volume_words(interval, (change.volume, change.volume_sigma), unit),
+                end=gone_on.get(name, next_date),
+                is_gone=name in gone_on,
                 report=last.report,
                 picture="",
                 left=left,
                 width=width,
             )
         )
-    things.sort(key=lambda thing: (not thing.end, thing.last, thing.first), reverse=True)
+    things.sort(key=lambda thing: (not thing.end, thing.end, thing.change.first), reverse=True)
     return _with_pictures(work, compared, things)
 
 
 def _with_pictures(work: WorkFolder, compared: Sequence[Night], things: Iterable[Thing]) -> list[Thing]:
     """Return the changes, those that are still there with their pictures, as long as these fit."""
-    run_of = {night.date: night.run.run for night in compared if night.run}
+    newest = compared[-1].run if compared else None
     bytes_left = _MOST_PICTURES_BYTES
     pictured = []
     for thing in things:
-        if thing.change.picture and not thing.end:
-            picture = _picture(work.run(run_of[thing.last]).folder / thing.change.picture)
+        if newest and thing.change.picture and not thing.end:
+            picture = _picture(work.run(newest.run).folder / thing.change.picture)
             if len(picture) <= bytes_left:
                 bytes_left -= len(picture)
                 thing = replace(thing, picture=picture)
@@ -281,7 +259,8 @@ def _months(nights: Sequence[Night]) -> list[tuple[str, list[Week]]]:
 def _charts(nights: Sequence[Night]) -> list[Chart]:
     """Return a chart for each figure of the nights."""
     runs = [night.run for night in nights if night.run]
-    cubic = f"{unit}³" if (unit := _unit(nights)) else ""
+    unit = _unit(nights)
+    cubic = f"{unit}³" if unit else ""
     series: dict[tuple[str, str], list[Sample]] = {("points in the cloud", ""): []}
     for run in runs:
         for zone, part in run.volumes.items():
@@ -322,14 +301,6 @@ def _titled(name: str) -> tuple[str, str, float]:
 
 
 def _unit(nights: Sequence[Night]) -> str:
-    """Return the unit of lengths: m, or "" if the scale is unknown."""
-    metric = [night.run.metric for night in nights if night.run]
-    return "m" if metric and metric[-1] else ""
-
-
-def _volume_words(change: ChangeSummary, unit: str) -> str:
-    """Return the volume of a change, as far as it is known."""
-    power = f" {unit}³" if unit else ""
-    if change.volume_most > 0:
-        return f"{change.volume_least:.1f} to {change.volume_most:.1f}{power}"
-    return f"{change.volume:.1f} ± {change.volume_sigma:.1f}{power}" if change.volume else ""
+    """Return the unit of lengths of the newest run."""
+    units = [night.run.unit for night in nights if night.run]
+    return units[-1] if units else ""

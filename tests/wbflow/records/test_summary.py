@@ -24,6 +24,7 @@ def test_a_summary_has_verdict_figures_changes_and_volumes() -> None:
     )
     changes = ChangesSummary(
         files=("changes.ply", "change-C1.jpg", "change-C17.jpg"),
+        compared=True,
         count=1,
         cut_fill=CutFill(gained=4.9, gained_sigma=0.4),
         changes={"C17": box},
@@ -37,7 +38,7 @@ def test_a_summary_has_verdict_figures_changes_and_volumes() -> None:
     assert found.volumes[""].gained == 4.9
     (change,) = found.changes
     assert (change.id, change.kind, change.zone, change.picture) == ("C17", "new", "gate", "change-C17.jpg")
-    assert (change.place, change.size) == ((11.3, 15.0, 0.0), (2.0, 1.4, 2.6))
+    assert (change.place, change.size, change.first) == ((11.3, 15.0, 0.0), (2.0, 1.4, 2.6), NIGHT.date)
     assert RunSummary.from_json(found.to_json()) == found
 
 

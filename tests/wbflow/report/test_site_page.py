@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,6 +21,7 @@ from tests.helpers.browser import chromium, until
 from tests.helpers.toy_site import HELPERS, ToySite
 from wbflow.cli.main import main
 from wbflow.pipeline.summaries import ChangesSummary, RecordedChange
+from wbflow.records.changes import with_nights
 from wbflow.records.findings import Finding, Verdict
 from wbflow.records.killed_runs import mark_begun
 from wbflow.records.ledger import Ledger
@@ -39,31 +40,47 @@ CONTAINER = RecordedChange(
 STACK = RecordedChange("vanished", x=2.0, y=3.0, length=2.5, width=2.0, height=1.5, volume=7.0, volume_least=6.0, volume_most=8.0)
 
 
-REFERENCE = "20261101T031500Z"
+def nights(*found: tuple[str, Mapping[str, RecordedChange]], verdict: Verdict = GOOD, reference: str = "") -> list[RunRecord]:
+    """Nights, each with the changes since the reference that it found; they go on from each other as those of a site do."""
+    records: list[RunRecord] = []
+    for day, changes in found:
+        gained = sum(change.volume for change in changes.values() if change.kind == "new")
+        summary = ChangesSummary(
+            files=tuple(f"change-{name}.jpg" for name in changes),
+            compared=True,
+            count=len(changes),
+            cut_fill=CutFill(gained=gained, gained_least=0.8 * gained, gained_most=9.0 * gained),
+            changes=changes,
+        )
+        results = {"changes": with_nights(summary, day, records[-1] if records else None)}
+        run = f"{day.replace('-', '')}T031500Z"
+        record = made_up_run.record(made_up_run.names(6), run, day, verdict=verdict, reference=reference, results=results)
+        records.append(record)
+    return records
 
 
-def night(day: str, verdict: Verdict = GOOD, reference: str = REFERENCE, **changes: RecordedChange) -> RunRecord:
-    """A night with these changes since the reference."""
-    return compared(day, verdict, changes, reference)
-
-
-def compared(day: str, verdict: Verdict, changes: Mapping[str, RecordedChange], reference: str = REFERENCE) -> RunRecord:
-    run = f"{day.replace('-', '')}T031500Z"
-    gained = sum(change.volume for change in changes.values() if change.kind == "new")
-    summary = ChangesSummary(
-        files=tuple(f"change-{name}.jpg" for name in changes),
-        compared=True,
-        count=len(changes),
-        cut_fill=CutFill(gained=gained, gained_least=0.8 * gained, gained_most=9.0 * gained),
-        changes=changes,
-    )
-    changed: dict[str, Any] = {"verdict": verdict, "reference": reference, "results": {"changes": summary}}
-    return made_up_run.record(made_up_run.names(6), run, day, **changed)
+def night(day: str, verdict: Verdict = GOOD) -> RunRecord:
+    """A night without changes."""
+    return nights((day, {}), verdict=verdict)[0]
 
 
 def publish(site: Site, *nights: RunRecord) -> None:
     for record in nights:
         UnfinishedRun(site.work_folder, record.run).publish(record, [], "a report")
+
+
+def index(site: Site, count: int, changes: Callable[[int], Mapping[str, RecordedChange]]) -> None:
+    """Put so many nights up to 2026-11-18 into the ledger alone, as if their folders were cleaned up; every ninth is degraded.
+
+    changes: those of a night by its number, from 0.
+    """
+    last = datetime.date(2026, 11, 18)
+    days = [(last - datetime.timedelta(days=count - 1 - k)).isoformat() for k in range(count)]
+    records = nights(*((day, changes(k)) for k, day in enumerate(days)))
+    site.work_folder.root.mkdir(exist_ok=True)
+    with Ledger(site.work_folder, writes=True) as ledger:
+        for k, record in enumerate(records):
+            ledger.record_run(replace(record, verdict=GOOD if k % 9 else DEGRADED))
 
 
 class Page(HTMLParser):
@@ -131,9 +148,11 @@ def test_the_calendar_has_each_night_with_its_verdict_findings_and_report(site: 
 def test_a_change_has_its_first_and_last_night_size_place_and_volume(site: Site) -> None:
     publish(
         site,
-        night("2026-11-14", C1=STACK),
-        night("2026-11-16", C1=STACK, C2=CONTAINER),
-        night("2026-11-17", C2=replace(CONTAINER, acknowledged="acknowledged by ida: delivered")),
+        *nights(
+            ("2026-11-14", {"C1": STACK}),
+            ("2026-11-16", {"C1": STACK, "C2": CONTAINER}),
+            ("2026-11-17", {"C2": replace(CONTAINER, acknowledged="acknowledged by ida: delivered")}),
+        ),
     )
     page = page_of(site)
     container = page.texts["change-C2"]
@@ -145,7 +164,7 @@ def test_a_change_has_its_first_and_last_night_size_place_and_volume(site: Site)
 
 
 def test_changes_since_an_earlier_reference_are_not_called_gone(site: Site) -> None:
-    publish(site, night("2026-11-14", C1=STACK), night("2026-11-15", reference="20261114T031500Z"))
+    publish(site, *nights(("2026-11-14", {"C1": STACK})), night("2026-11-15"))
     page = page_of(site)
     assert "not compared any more on 2026-11-15" in page.texts["change-C1"]
     assert "gone" not in page.days["2026-11-15"][1]
@@ -153,7 +172,8 @@ def test_changes_since_an_earlier_reference_are_not_called_gone(site: Site) -> N
 
 def test_a_night_that_compared_nothing_ends_no_change(site: Site) -> None:
     blind = replace(night("2026-11-15", Verdict("failed")), results={}, cloud=None)
-    publish(site, night("2026-11-14", C1=STACK), blind, night("2026-11-16", C1=STACK))
+    before, after = nights(("2026-11-14", {"C1": STACK}), ("2026-11-16", {"C1": STACK}))
+    publish(site, before, blind, after)
     page = page_of(site)
     assert "since 2026-11-14" in page.texts["change-C1"]
     assert "gone" not in " ".join(title for _, title in page.days.values())
@@ -178,7 +198,7 @@ def test_nights_that_were_cleaned_up_or_killed_stay_in_the_calendar(site: Site) 
 
 
 def test_lengths_of_a_site_without_scale_have_no_unit(site: Site) -> None:
-    records = [night(day, C1=CONTAINER) for day in ("2026-11-14", "2026-11-15")]
+    records = nights(("2026-11-14", {"C1": CONTAINER}), ("2026-11-15", {"C1": CONTAINER}))
     publish(site, *(replace(record, poses=replace(record.poses, metric=False)) for record in records))  # type: ignore[type-var]
     page = page_of(site)
     assert "6.0 × 2.4 × 2.6; 4.2 to 40.0; at" in page.texts["change-C1"]
@@ -211,7 +231,7 @@ def test_counts_have_axes_of_whole_numbers() -> None:
 
 
 def test_trends_have_axis_unit_and_interval(site: Site) -> None:
-    publish(site, night("2026-11-14"), night("2026-11-15", C1=CONTAINER), night("2026-11-16", C1=CONTAINER))
+    publish(site, *nights(("2026-11-14", {}), ("2026-11-15", {"C1": CONTAINER}), ("2026-11-16", {"C1": CONTAINER})))
     text = page_of(site).texts["trends"]
     assert "volume gained, m³ now 4.9 m³ 0 " in text.replace(" 0.0 ", " 0 ")
     assert "2026-11-15: 4.9 m³ (3.92 to 44.1)" in text
@@ -220,13 +240,7 @@ def test_trends_have_axis_unit_and_interval(site: Site) -> None:
 def test_a_page_over_300_nights_costs_less_than_a_second_and_reads_no_records(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = datetime.date(2026, 1, 1)
-    site.work_folder.root.mkdir()
-    with Ledger(site.work_folder, writes=True) as ledger:
-        for k in range(300):
-            day = (first + datetime.timedelta(days=k)).isoformat()
-            changes = {f"C{number}": CONTAINER for number in range(k // 10, k // 10 + 10)}
-            ledger.record_run(compared(day, DEGRADED if k % 9 == 0 else GOOD, changes))
+    index(site, 300, lambda k: {f"C{number}": CONTAINER for number in range(k // 10, k // 10 + 10)})
     monkeypatch.setattr(RunRecord, "from_json", lambda data: pytest.fail("a whole record was read"))
     began = time.process_time()
     page = write_site_page(site)
@@ -289,11 +303,7 @@ def long_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = made_up_run.site(tmp_path_factory.mktemp("long"), made_up_run.names(6))
     hostile = replace(CONTAINER, zone="</script><script>document.title='taken'</script>")
     site.work_folder.root.mkdir()
-    with Ledger(site.work_folder, writes=True) as ledger:
-        for k in range(40):
-            day = (datetime.date(2026, 10, 10) + datetime.timedelta(days=k)).isoformat()
-            changes = {"C1": hostile} | {f"C{number}": STACK for number in range(k, k + 3)}
-            ledger.record_run(compared(day, DEGRADED if k % 7 == 0 else GOOD, changes))
+    index(site, 40, lambda k: {"C1": hostile, **{f"C{number}": STACK for number in range(k + 2, k + 5)}})
     return write_site_page(site)
 
 
