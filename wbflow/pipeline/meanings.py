@@ -85,6 +85,8 @@ MEANINGS: Mapping[str, Meaning] = {
     "keypoints": Meaning("keypoints", "distinct points that were found; their number is capped by `max_keypoints`"),
 }
 """Meanings by the name of the figure in run.json."""
+BOOKKEEPING = frozenset({"highest_id"})
+"""Figures that programs alone need; no page shows them."""
 
 
 def meaning(figure: str) -> Meaning:
@@ -95,6 +97,8 @@ def meaning(figure: str) -> Meaning:
 def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield title and formatted value of a stage's figures."""
     for name, value in figures.items():
+        if name in BOOKKEEPING:
+            continue
         title, format_figure = titled(name), _percent if meaning(name).share else format_value
         if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
             ordered = sorted(value.items(), key=lambda entry: -entry[1])

@@ -12,6 +12,7 @@ from pathlib import Path
 from wbflow_stages.contracts.ground_figures import CutFill
 
 from ..json_dataclass import JsonDataclass
+from ..pipeline.meanings import BOOKKEEPING
 from ..pipeline.summaries import RecordedChange
 from .findings import Finding
 from .record import RunRecord
@@ -133,6 +134,6 @@ def _figures(record: RunRecord) -> dict[str, float]:
         figures["points"] = record.cloud.points
     for stage, result in record.results.items():
         for name, value in vars(result).items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
+            if isinstance(value, int | float) and not isinstance(value, bool) and name not in BOOKKEEPING:
                 figures[f"{stage}.{name}"] = value
     return figures

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..pipeline.meanings import meaning, titled
+from ..pipeline.meanings import BOOKKEEPING, meaning, titled
 from ..pipeline.stages import CHANGES, STAGES
 from ..records.record import RunRecord
 from ..task import Task
@@ -75,7 +75,7 @@ def trends(data: ReportData) -> list[Trend]:
     for night in nights:
         for result in night.results.values():
             for name, value in vars(result).items():
-                if is_number(value):
+                if is_number(value) and name not in BOOKKEEPING:
                     is_share = meaning(name).share
                     add(titled(name), "%" if is_share else "", night, 100 * value if is_share else value)
 

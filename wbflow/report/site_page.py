@@ -143,6 +143,7 @@ def site_page(site: Site, out: Path) -> str:
         gone=[thing for thing in things if thing.end],
         most_gone=_MOST_GONE,
         charts=_charts(nights),
+        days={night.date: f"#night-{night.date}" for night in nights},
         unit=_unit(nights),
         place=place_of(work),
     )

@@ -23,7 +23,7 @@ _HALF_DATE = 24.0
 """Half the width of a date."""
 _MOST_DATES = 4
 """Largest number of dates below a chart."""
-_STEPS_OF_DAYS = (1, 2, 7, 14)
+_STEPS_OF_DAYS = (1, 2, 3, 5, 7, 14)
 _STEPS_OF_MONTHS = (1, 2, 3, 6, 12, 24, 60)
 
 
