@@ -9,7 +9,8 @@ from typing import Any
 import av
 import cv2
 
-from .video import sound_frames, upright
+from .decoding import decoded_frames
+from .video import upright
 
 _QUALITY = 95
 """JPEG quality of the written files; the stream itself has been compressed before."""
@@ -40,22 +41,19 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
 
 
 def _at(moments: Sequence[float], container: Any, patience: float) -> Iterator[tuple[bytes, float | None]]:
-    frames = sound_frames(container)
+    decoded_of_stream = decoded_frames(container)
     for moment in moments:
         while True:
-            frame = next(frames, _ENDED)
-            if frame is _ENDED:
+            decoded = next(decoded_of_stream, None)
+            if decoded is None:
                 raise OSError("the stream has ended")
             now = time.time()
-            if frame is not None and now >= moment:
+            if decoded.is_trusted and now >= moment:
                 break
             if now > moment + patience:
                 raise OSError("the stream sends what cannot be decoded")
-        image = upright(frame, "bgr24")
-        yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), _sent_at(container, frame)
-
-
-_ENDED = object()
+        image = upright(decoded.frame, "bgr24")
+        yield cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes(), _sent_at(container, decoded.frame)
 
 
 def _sent_at(container: Any, frame: Any) -> float | None:

@@ -1,7 +1,6 @@
 """Images from a video file: every n-th frame, up to a maximum number, without frames that were not decoded as they were sent.
 
-A decoder that meets damage shows what it has: grey, black, or remains of earlier frames.  All that depends on a damaged place is
-left out here: the frames from there to the next one that is coded by itself (a key frame).
+All that a damaged place may have reached is left out: the frames between two that are coded by themselves (see `decoding`).
 """
 
 from __future__ import annotations
@@ -9,6 +8,8 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import groupby, islice
 from pathlib import PurePath
 from typing import Any
 
@@ -17,8 +18,10 @@ import numpy as np
 
 from ..io.image_headers import is_image, is_video, jpeg_offset
 from ..types import Capture, Lens, Uint8s
+from .decoding import Decoded, decoded_frames
 from .files import BadCapture, EmptyCapture, NotAnImage, decode
 from .levels import Levels
+from .transport import damaged_places
 
 SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts"})
 """Suffixes of videos in lower case; they decide where the content is of no known format."""
@@ -27,7 +30,8 @@ _HEADER_BYTES = 4096
 MOST_FRAMES = 100_000
 """Largest number of frames that are read, in case a file claims to be endless."""
 
-
+_TRANSPORT_FORMAT = "mpegts"
+"""FFmpeg's name of MPEG transport streams."""
 _BARE_FORMATS = frozenset({"h264", "hevc", "m4v", "mpegvideo"})
 """FFmpeg's names of videos without a container, in which a lost beginning is not noticed."""
 _START_CODES = (b"\0\0\1", b"\0\0\0\1")
@@ -51,68 +55,56 @@ def pictures(capture: Capture, step: int, most_pictures: int) -> Iterator[tuple[
     damaged = 0
     wanted = 0
     with _opened(capture) as container:
-        is_bare = container.format.name in _BARE_FORMATS
-        begins_whole = not is_bare or capture.data[:8].tobytes().startswith(_START_CODES)
         length = frame_count(container)
         if 0 < length < MOST_FRAMES:
             step = max(step, -(-length // most_pictures))
-        for number, frame in enumerate(sound_frames(container, begins_whole)):
-            if count >= most_pictures or number >= MOST_FRAMES:
+        frames = islice(enumerate(_decoded(container, capture)), MOST_FRAMES)
+        for stretch, frames_of_stretch in groupby(frames, key=lambda numbered: numbered[1].stretch):
+            # no picture is handed on before all of its stretch has been decoded without damage
+            candidates: list[_Candidate] = []
+            packets: list[int] = []
+            next_wanted = wanted
+            for number, decoded in frames_of_stretch:
+                packets.append(decoded.number)
+                has_room = count + len(candidates) < most_pictures
+                if decoded.frame is not None and stretch.has_key and number >= next_wanted and has_room:
+                    candidates.append(
+                        _Candidate(f"{capture.name} frame {number}", decoded.number, upright(decoded.frame, "rgb24"))
+                    )
+                    next_wanted = number - number % step + step
+            if stretch.has_key:
+                damaged += sum(not stretch.trusts(packet) for packet in packets)
+            for candidate in candidates:
+                if stretch.trusts(candidate.packet):
+                    count += 1
+                    wanted = next_wanted
+                    yield candidate.name, candidate.image
+            if count >= most_pictures:
                 break
-            if frame is None:
-                damaged += 1
-            elif number >= wanted:
-                count += 1
-                wanted = number - number % step + step
-                yield f"{capture.name} frame {number}", upright(frame, "rgb24")
     if not count:
         raise NotAnImage(f"{capture.name} holds no picture that can be decoded ({capture.data.size:,} bytes)")
     if damaged:
-        raise DamagedVideo(f"{capture.name} is damaged: {damaged} of its frames cannot be decoded, and are not used")
+        raise DamagedVideo(
+            f"{capture.name} is damaged: {damaged} of its frames cannot be decoded, or not be trusted, and are not used"
+        )
 
 
-def sound_frames(container: Any, begins_whole: bool = True) -> Iterator[Any]:
-    """Each frame (av.VideoFrame) of an opened video or stream in order of time; None for one that is damaged.
+@dataclass(frozen=True)
+class _Candidate:
+    """A picture, (h, w, 3) uint8 RGB, that is shown if its stretch of the video proves sound; packet: number of its packet."""
 
-    The decoder reports damage for the packet that it reads; frames that it shows afterwards may depend on that packet.  Frames
-    count again from a key frame on whose packet comes after the damage.
+    name: str
+    packet: int
+    image: Uint8s
 
-    begins_whole: False if the beginning is lost, perhaps within the first packet.
-    """
-    stream = container.streams.video[0]
-    stream.codec_context.thread_count = 1
-    stream.codec_context.options = {"err_detect": "explode"}  # report damage instead of concealing it
-    is_sound = begins_whole
-    is_first = True
-    has_new_key = False
-    key_time: int | None = None
-    packets = container.demux(stream)
-    while True:
-        try:
-            packet = next(packets, None)
-            if packet is None:
-                return
-            if not is_sound and not has_new_key and packet.is_keyframe and not packet.is_corrupt:
-                has_new_key = True
-                key_time = packet.pts
-            frames = packet.decode()
-            is_damaged = packet.is_corrupt or (is_first and not begins_whole)
-        except av.error.EOFError:
-            return
-        except av.error.InvalidDataError:
-            frames = [None]
-            is_damaged = True
-        is_first = False
-        if is_damaged:
-            is_sound = False
-            has_new_key = False
-        for frame in frames:
-            if frame is not None and not is_sound and has_new_key:
-                is_sound = frame.key_frame if key_time is None or frame.pts is None else frame.pts >= key_time
-            if frame is None or not is_sound or frame.is_corrupt:
-                yield None
-            else:
-                yield frame
+
+def _decoded(container: Any, capture: Capture) -> Iterator[Decoded]:
+    """The frames of an opened file, with all that the file's bytes tell about damage."""
+    if container.format.name == _TRANSPORT_FORMAT:
+        return decoded_frames(container, lost_places=damaged_places(capture.data, container.streams.video[0].id))
+    is_bare = container.format.name in _BARE_FORMATS
+    begins_whole = not is_bare or capture.data[:8].tobytes().startswith(_START_CODES)
+    return decoded_frames(container, begins_whole)
 
 
 def upright(frame: Any, pixel_format: str) -> Uint8s:
