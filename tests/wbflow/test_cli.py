@@ -223,9 +223,16 @@ def test_report_is_one_file_that_shows_every_camera_and_pair(toy: ToySite) -> No
     assert "roof.txt is not an image" in page
     assert "gate--mast-1" in page
     assert "http" not in page.replace("http://www.w3.org", "")
-    (toy.work / "runs" / record["run"] / "report.html").unlink()
+
+
+def test_a_report_that_is_built_again_is_the_one_that_the_run_wrote(toy: ToySite) -> None:
+    toy.run()
+    toy.capture("roof").write_text("broken")
+    report = toy.work / "runs" / toy.run(code=3)["run"] / "report.html"
+    written = report.read_bytes()
+    report.unlink()
     assert toy.wbflow("report").returncode == 0
-    assert (toy.work / "runs" / record["run"] / "report.html").exists()
+    assert report.read_bytes() == written
 
 
 def test_the_option_wait_waits_for_the_other_run(toy: ToySite) -> None:

@@ -83,7 +83,7 @@ def trends(data: ReportData) -> list[Trend]:
     for night in nights:
         add("time", "s", night, night.seconds.wall)
         add("CPU", "s", night, night.seconds.cpu)
-        add("size of the night's files", "MB", night, _megabytes(data, night))
+        add("size of the night's products", "MB", night, _megabytes(data, night))
 
     period = Period(datetime.date.fromisoformat(nights[0].date), datetime.date.fromisoformat(nights[-1].date))
     found = []
@@ -114,9 +114,10 @@ def _median(samples: Sequence[Sample], unit: str) -> str:
 
 
 def _megabytes(data: ReportData, night: RunRecord) -> float | None:
+    """Return the size of what a night has made: not of its report, which is still to be written, nor of its log."""
     folder = data.files if night.run == data.record.run else data.work.run(night.run).folder
     try:
-        return sum(path.stat().st_size for path in folder.iterdir()) / 1e6
+        return sum((folder / name).stat().st_size for name in night.files) / 1e6
     except OSError:
         return None
 

@@ -99,8 +99,9 @@ def publish(run: str, plan: Plan, products: dict[Task, bytes] | None, journal: J
         what = f"{', '.join(twice)}: on nights after this one, which ran before it, these are ids of other things"
         journal.warn(what, remedy=f"run them again, in order: wbflow run SITE.yaml --since {record.date}")
     record = replace(record, repaired=tuple(journal.repairs), files=unfinished.files)
-    # 3. the report, and the folder as a whole
-    page = draw(night, record, journal, cameras, unfinished.paths.folder)
+    # 3. the report, of the record as run.json has it: built again, it is the same; and the folder as a whole
+    written = RunRecord.from_json(json.loads(json.dumps(record.to_json())))
+    page = draw(night, written, journal, cameras, unfinished.paths.folder)
     folder = unfinished.publish(record, journal.events, page, metrics(record))
     with contextlib.suppress(OSError):  # functions are then read again by the next run
         night.site.bindings.reader.save()
