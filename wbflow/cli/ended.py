@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from ..errors import ExitCode
 from ..records.changes import change_words, open_changes
 from ..records.record import NO_SCALE, STATE_SCALE
-from ..verdict.consequences import consequences
 from ..words import counted
 from .common import echo
 
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
 
 LEVELS = {"good": "good: nothing to look at", "degraded": "degraded: look at this", "failed": "failed"}
 """Printed text of each verdict level on a night on which nothing has changed."""
+INTERRUPTED = "interrupted; everything finished is kept"
+"""Printed text of the verdict on a run that was interrupted."""
 MOST_FINDINGS = 20
 """Largest number of findings that are printed; the report has all."""
 MOST_ALIKE = 4
@@ -64,21 +65,30 @@ def print_findings(record: RunRecord, err: bool) -> None:
     scale = f"; {NO_SCALE}" if record.unscaled else ""
     line = f"{record.site}, night of {record.date}: {_level_words(record, verdict.level)}{scale}"
     echo(line, err=err, level=verdict.level, indent=2)
-    following = consequences(record)
-    others = [finding for finding in verdict.findings if finding not in following]
-    left_out = {camera.id for camera in record.cameras if not camera.ok}
-    cause_count = 0  # of the findings up to the last one about a camera that is left out
-    for number, finding in enumerate(others, 1):
-        if following and left_out.intersection(finding.subject):
-            cause_count = number
+    # 1. the findings up to the last one about a camera that others follow from
+    others: list[Finding] = []
+    following: list[Finding] = []
+    cause_count = 0
+    causes = {name for finding in verdict.findings for name in finding.follows}
+    for finding in verdict.findings:
+        if finding.follows:
+            following.append(finding)
+        elif finding.kind != "interrupted":  # the head says it
+            others.append(finding)
+            if causes.intersection(finding.subject):
+                cause_count = len(others)
     _print_findings(others[:cause_count], err)
+    # 2. what follows from these, which needs no remedy of its own
     if following:
         echo(f"  which leaves {'; '.join(finding.text for finding in following)}", err=err, indent=6)
+    # 3. everything else
     _print_findings(others[cause_count:], err)
 
 
 def _level_words(record: RunRecord, level: str) -> str:
     """Return the level of a night, and what has changed: "good, 1 change: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0"."""
+    if record.exit_code == ExitCode.INTERRUPTED:
+        return INTERRUPTED
     changes = change_words(record)
     words = f"{level}, {changes}" if changes else LEVELS[level]
     if record.changes and not open_changes(record):
@@ -115,30 +125,45 @@ def print_table(records: Sequence[RunRecord]) -> None:
 
 
 def next_step(finished: Run, site: Path) -> str:
-    """Return what to do after a run: the remedy of its first finding that has one, or a command.
+    """Return what to do after a run: what its first finding says, or a command.
 
     site: the site file as the user named it.
     """
     record = finished.record
     file = shlex.quote(str(site))
     if record.exit_code == ExitCode.INTERRUPTED:
-        return f"wbflow run {file}"
-    for task, event in finished.task_events.items():
-        if event.outcome == "failed" and event.code in DEBUGGABLE:
-            return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
-    if record.exit_code and record.verdict:
-        for finding in record.verdict.findings:
-            if finding.remedy:
-                about = f"{finding.about}: " if finding.subject else ""
-                return about + finding.remedy.replace("SITE.yaml", file)
+        night = f" --date {record.date}" if record.dated else ""
+        return f"wbflow run {file}{night}"
     if record.exit_code:
-        return f"look at the report, or: wbflow check {file}"
+        return _remedy(finished, file) or f"look at the report, or: wbflow check {file}"
     changes = open_changes(record)
     if changes:
         return f"look at the report; for what is as it should be: wbflow acknowledge {file} {changes[0].id} --note WHY"
     if len(finished.cache.work.run_ids()) > 1:
         return f"wbflow compare {file}"
     return f"wbflow export {file} --mesh --out mesh"
+
+
+def _remedy(finished: Run, file: str) -> str:
+    """Return the remedy of a run's first finding that stands by itself and has one; "" if there is none."""
+    debug = _debug_command(finished, file)
+    for finding in finished.record.verdict.findings if finished.record.verdict else ():
+        if finding.follows:
+            continue
+        if debug and finding.kind in {"no-cloud", "no-result", "task-failed"}:
+            return debug
+        if finding.remedy:
+            about = f"{finding.about}: " if finding.subject else ""
+            return about + finding.remedy.replace("SITE.yaml", file)
+    return ""
+
+
+def _debug_command(finished: Run, file: str) -> str:
+    """Return the command that looks into the first task that failed for a reason of its own; "" if none has."""
+    for task, event in finished.task_events.items():
+        if event.outcome == "failed" and event.code in DEBUGGABLE:
+            return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
+    return ""
 
 
 def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:

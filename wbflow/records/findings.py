@@ -37,6 +37,8 @@ class Finding(JsonDataclass):
     """Expected values, under the same names."""
     remedy: str = ""
     """What to do about it; "" if nothing can be done."""
+    follows: tuple[str, ...] = ()
+    """The cameras from whose loss it follows; () if it stands by itself.  Not written if empty."""
 
     @property
     def about(self) -> str:
@@ -52,6 +54,8 @@ class Finding(JsonDataclass):
     @model_serializer(mode="wrap")
     def _with_alias(self, write: Any) -> dict[str, Any]:
         data: dict[str, Any] = write(self)
+        if not self.follows:
+            del data["follows"]
         row = FINDINGS.get(self.kind)
         if row and row.alias:
             data["alias"] = row.alias

@@ -42,22 +42,33 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     figures = figures_of(record)
     figures[Measure.CAMERAS] = float(sum(camera.ok for camera in record.cameras))
     for name, value in figures.items():
-        limit = facts.expected.limit(name)
+        least = least_of(name, record, facts)
+        if value >= least:
+            continue
         amount = _amount_text(name, value)
         typical = usual.figures.get(name)
-        if limit > 1:  # the site file expects a number, not a share of the usual one
-            if value < limit:
-                yield _fewer_finding(name, value, limit, f"{amount}; at least {limit:,.0f} are expected")
-        elif name == Measure.CAMERAS:
-            continue  # each lost camera has a finding of its own
+        if facts.expected.limit(name) > 1:
+            yield _fewer_finding(name, value, least, f"{amount}; at least {least:,.0f} are expected")
         elif typical is not None:
-            if value < limit * typical:
-                text = f"{amount}, {100 * value / typical:.0f} % of {source} {typical:,.0f}"
-                yield _fewer_finding(name, value, typical, text)
-        elif name == Measure.PAIRS and value < PLANNED_PAIRS * len(record.pairs):
+            text = f"{amount}, {100 * value / typical:.0f} % of {source} {typical:,.0f}"
+            yield _fewer_finding(name, value, typical, text)
+        else:
             planned = float(len(record.pairs))
             text = f"only {value:.0f} of {planned:.0f} pairs could be used; most of the others: {_why_few(record)}"
             yield _fewer_finding(name, value, planned, text)
+
+
+def least_of(name: str, record: RunRecord, facts: Facts) -> float:
+    """Return the smallest amount that is no finding; 0 if there is nothing to compare it with."""
+    limit = facts.expected.limit(name)
+    if limit > 1:  # the site file expects a number, not a share of the usual one
+        return limit
+    typical = record.usual.figures.get(name) if record.usual else None
+    if typical is not None:
+        return limit * typical
+    if name == Measure.PAIRS:
+        return PLANNED_PAIRS * len(record.pairs)
+    return 0.0  # of cameras, too: each lost one has a finding of its own
 
 
 def _amount_text(name: str, value: float) -> str:

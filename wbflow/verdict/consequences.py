@@ -2,34 +2,73 @@
 
 from __future__ import annotations
 
-from ..records.findings import Finding
-from ..records.record import RunRecord
+from collections.abc import Collection, Iterable
+from dataclasses import replace
 
-_LEAST_OF_EXPECTED = 0.5
-"""With n of N cameras, about (n / N)² of the pairs are left.  A figure below this share of that has some other cause as well."""
+from ..records.findings import Finding
+from ..records.record import PairRecord, RunRecord
+from ..site.models import Measure
+from .amounts import least_of
+from .facts import Facts
+
 _AMOUNTS = "fewer-"
 """Beginning of the codes of findings on amounts that are lower than usual."""
+_NOTHING = frozenset({"no-cloud", "no-result"})
+"""Codes of findings on a night that has made nothing."""
 
 
-def consequences(record: RunRecord) -> tuple[Finding, ...]:
-    """Return the findings on low amounts (points, pairs, ground that is seen) that the cameras that are left out explain."""
-    if record.verdict is None or not record.cameras:
-        return ()
-    reported: set[str] = set()
-    for finding in record.verdict.findings:
+def with_causes(findings: Iterable[Finding], record: RunRecord, facts: Facts) -> tuple[Finding, ...]:
+    """Return the findings of a night; those that follow from the loss of cameras name these cameras.
+
+    A pair gives nothing if one of its cameras does.  A night has lost an amount with its cameras if what the other pairs gave on
+    the last good night would, by itself, be a finding that is no worse.
+    """
+    reported = list(findings)
+    lost = tuple(camera.id for camera in record.cameras if not camera.ok)
+    with_finding: set[str] = set()
+    for finding in reported:
         if finding.kind.startswith("camera-"):
-            reported.update(finding.subject)
-    used = sum(camera.ok for camera in record.cameras)
-    left_out = {camera.id for camera in record.cameras if not camera.ok}
-    if not left_out or not left_out <= reported:
-        return ()
-    least = _LEAST_OF_EXPECTED * (used / len(record.cameras)) ** 2
-    return tuple(finding for finding in record.verdict.findings if finding.kind.startswith(_AMOUNTS) and _share(finding) >= least)
+            with_finding.update(finding.subject)
+    if not lost or not with_finding.issuperset(lost):
+        return tuple(reported)
+    return tuple(replace(finding, follows=lost) if _follows(finding, lost, record, facts) else finding for finding in reported)
 
 
-def _share(finding: Finding) -> float:
-    """Return the amount of a finding as a share of the expected one."""
+def _follows(finding: Finding, lost: Collection[str], record: RunRecord, facts: Facts) -> bool:
+    """Does a finding follow from the loss of cameras?"""
+    if finding.kind in _NOTHING:
+        too_few = len(record.cameras) - len(lost) < 2
+        return too_few or (bool(record.pairs) and not _without(lost, record.pairs))
+    if not finding.kind.startswith(_AMOUNTS):
+        return False
     name = finding.kind.removeprefix(_AMOUNTS)
-    amount = finding.figures.get(name, 0.0)
-    expected = finding.expected.get(name, 0.0)
-    return float(amount / expected) if expected else 0.0
+    if name == Measure.CAMERAS:
+        return True
+    amount = float(finding.figures[name])
+    return amount >= _share_without(lost, name, record, facts) * least_of(name, record, facts)
+
+
+def _share_without(lost: Collection[str], name: str, record: RunRecord, facts: Facts) -> float:
+    """Return the share of an amount that the pairs without these cameras gave on the last good night.
+
+    Each pair counts by the part of its picture for which it gave depth, if that is known; all count the same for the number of
+    pairs, and without such a night, when all that are planned count.
+    """
+    good = next((night for night in facts.earlier if _is_good(night) and night.settings == record.settings), None)
+    pairs = [pair for pair in good.pairs if pair.ok] if good else list(record.pairs)
+    if not pairs:
+        return 1.0
+    others = _without(lost, pairs)
+    depth = sum(pair.figures.density or 0.0 for pair in pairs)
+    if name == Measure.PAIRS or good is None or not depth:
+        return len(others) / len(pairs)
+    return sum(pair.figures.density or 0.0 for pair in others) / depth
+
+
+def _is_good(night: RunRecord) -> bool:
+    return night.verdict is not None and night.verdict.good and night.cloud is not None
+
+
+def _without(cameras: Collection[str], pairs: Iterable[PairRecord]) -> list[PairRecord]:
+    """Return the pairs that have none of these cameras."""
+    return [pair for pair in pairs if not set(cameras) & set(pair.cameras)]

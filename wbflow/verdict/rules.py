@@ -32,6 +32,7 @@ from .calibration import check_calibration
 from .cameras import check_cameras, with_down
 from .captures import check_captures
 from .changes import check_changes
+from .consequences import with_causes
 from .depths import check_depths
 from .ended import EndedNight
 from .ends import check_end
@@ -118,7 +119,8 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
     reported: list[Finding] = []
     for check in CHECKS:
         reported += check(record, facts)
-    findings, acknowledged = split(reported, facts.acknowledged, record.date)
+    effective, acknowledged = split(reported, facts.acknowledged, record.date)
+    findings = with_causes(effective, record, facts)
     # 3. how bad that is
     levels = {FINDINGS[entry.kind].level for entry in findings if not _is_tolerated(entry, record, facts)}
     level: Level = "good"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from tests.helpers import made_up_run
 from tests.helpers.toy_site import ToySite
-from wbflow.cli.ended import print_findings
+from wbflow.cli.ended import next_step, print_findings
+from wbflow.records.events import TaskEvent
 from wbflow.records.findings import Finding, Verdict
+from wbflow.records.finished_run import task_named
 from wbflow.records.record import CameraRecord
 
 
@@ -33,7 +38,7 @@ def test_what_follows_from_a_frozen_camera_is_told_under_it_without_a_remedy_of_
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     stale = Finding("camera-stale", ("cam-4",), "its captures are those of the night before", remedy="restart it")
-    fewer = Finding("fewer-pairs", (), "3 pairs, 50 % of the usual 6", {"pairs": 3}, {"pairs": 6}, remedy="compare")
+    fewer = Finding("fewer-pairs", (), "3 pairs, 50 % of the usual 6", {"pairs": 3}, {"pairs": 6}, "compare", ("cam-4",))
     cameras = (*(CameraRecord(f"cam-{k}", "ok") for k in (1, 2, 3)), CameraRecord("cam-4", "skipped", "it is stale"))
     turned = Finding("camera-moved", ("cam-1",), "turned by 0.5 degrees: corrected", remedy="turn it back")
     verdict = Verdict("degraded", (stale, turned, fewer))
@@ -86,3 +91,54 @@ def test_a_dry_run_of_nothing_is_one_line(toy: ToySite) -> None:
     assert lines[0].startswith(f"night of {night}: nothing would run: ")
     toy.capture("roof").write_text("another view")
     assert len(toy.wbflow("run", "--dry-run").stdout.splitlines()) > 10
+
+
+def next_after(*findings: Finding, exit_code: int = 3, failed: tuple[str, str] | None = None) -> str:
+    """The next step after a night with these findings; failed: name and code of a task that failed."""
+    events = {}
+    if failed:
+        task = task_named(failed[0])
+        events[task] = TaskEvent(task, "failed", "2026-11-20T03:15:00Z", code=failed[1])
+    record = made_up_run.record(made_up_run.names(4), verdict=Verdict("degraded", findings), exit_code=exit_code)
+    work = SimpleNamespace(run_ids=lambda: [record.run])
+    return next_step(
+        cast(Any, SimpleNamespace(record=record, task_events=events, cache=SimpleNamespace(work=work))), Path("yard")
+    )
+
+
+LOST = Finding("camera-lost", ("cam-3",), "no capture; left out tonight", remedy="check that it delivers")
+NO_CLOUD = Finding("no-cloud", (), "no cloud: two cameras are needed", remedy="fix the cameras")
+FAILED = Finding("task-failed", ("cam-1",), "features cam-1 failed: boom", remedy="wbflow run -v SITE.yaml shows where")
+
+
+def test_the_next_step_is_the_first_remedy_even_if_a_task_failed() -> None:
+    assert next_after(LOST, FAILED, failed=("features cam-1", "fault")) == "cam-3: check that it delivers"
+
+
+def test_after_a_fault_the_next_step_looks_into_its_task() -> None:
+    command = "wbflow debug yard 'features cam-1' --out debug"
+    assert next_after(FAILED, LOST, failed=("features cam-1", "fault")) == command
+    assert next_after(NO_CLOUD, FAILED, exit_code=1, failed=("features cam-1", "fault")) == command
+
+
+def test_a_task_whose_input_is_at_fault_is_not_debugged() -> None:
+    assert next_after(FAILED, failed=("features cam-1", "bad-input")) == "cam-1: wbflow run -v yard shows where"
+
+
+def test_the_remedy_of_a_consequence_is_not_the_next_step() -> None:
+    assert next_after(replace(NO_CLOUD, follows=("cam-3",)), LOST, exit_code=1) == "cam-3: check that it delivers"
+
+
+def test_an_interrupted_run_is_continued_on_its_night() -> None:
+    interrupted = Finding("interrupted", (), "interrupted; everything finished is kept", remedy="run it again")
+    assert next_after(interrupted, LOST, exit_code=130) == "wbflow run yard --date 2026-12-09"
+
+
+def test_no_cloud_for_want_of_cameras_is_told_under_them(capsys: pytest.CaptureFixture[str]) -> None:
+    verdict = Verdict("failed", (replace(NO_CLOUD, follows=("cam-3",)), LOST))
+    print_findings(made_up_run.record(made_up_run.names(4), verdict=verdict, exit_code=1), err=False)
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "  cam-3: no capture; left out tonight",
+        "    check that it delivers",
+        "  which leaves no cloud: two cameras are needed",
+    ]
