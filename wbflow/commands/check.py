@@ -24,12 +24,12 @@ from ..runner.night import Night
 from ..runner.options import Options
 from ..runner.tonight import read_night
 from ..site.capture_files import CaptureFile
-from ..site.captures import FEW_EXAMPLES, expected, nights_with_captures, nothing_matches
+from ..site.captures import FEW_EXAMPLES, expected, nights_near, nothing_matches
 from ..site.models import Camera, Site
 from ..site.plausibility import polygon_outside
 from ..site.stale_cameras import gap_of
 from ..site.yaml_document import Problem
-from ..words import DISK_FULL_REMEDY, counted, format_size, printable
+from ..words import DISK_FULL_REMEDY, format_size, printable
 
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -146,11 +146,10 @@ def _faults_of_mask(where: str, mask: Path, width: int, height: int) -> list[Fau
 
 
 def _remedy_of_nothing(site: Site, date: datetime.date) -> str:
-    """What to do if there is no capture at all: another night may have some."""
-    nights = sorted(nights_with_captures(site)) if site.captures.dated else []
-    if nights:
-        shown = ", ".join(map(str, nights[-FEW_EXAMPLES:]))
-        return f"there are captures of {counted(len(nights), 'other night')}, the last {shown}: --date {nights[-1]}"
+    """What to do if there is no capture at all."""
+    others = nights_near(site, date)
+    if others:
+        return f"check that the cameras deliver, or name another night: wbflow check {site.file} --date {others[0]}"
     return "check captures.root and pattern: {camera} stands for the id, {date:%Y-%m-%d} for the night"
 
 

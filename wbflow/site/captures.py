@@ -12,7 +12,7 @@ from pathlib import Path
 from ..cache.memo import Digests
 from ..cache.untrusted import find_untrusted, is_file
 from ..errors import UsageError, WbflowError
-from ..words import printable
+from ..words import counted, printable
 from .bursts import BurstEnds, burst_ends, neighbours, night_of
 from .capture_files import CaptureFile, with_current_digest
 from .hanging_disks import results_by_camera
@@ -232,13 +232,25 @@ def files_there(site: Site) -> list[str]:
 
 
 def nothing_matches(site: Site, date: datetime.date) -> str:
-    """Why no camera has a capture: what the pattern wants, and what is there instead."""
+    """Why no camera has a capture of a night: only other nights have some, or none fits the pattern."""
+    others = nights_near(site, date)
+    if others:
+        newest = max(others)
+        nearest = sorted(others[:FEW_EXAMPLES])
+        shown = f"{counted(len(others), 'other night')} with captures, the nearest {', '.join(map(str, nearest))}"
+        return f"there {'is' if len(others) == 1 else 'are'} {shown}{'' if newest in nearest else f', the newest {newest}'}"
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
     there = files_there(site)
     shown = "there is no file at all"
     if there:
         shown = f"there are {', '.join(there)}"
     return f"captures.pattern wants {wanted}, and {shown} in {printable(site.captures.root)}"
+
+
+def nights_near(site: Site, date: datetime.date) -> list[datetime.date]:
+    """The nights with captures, the nearest to a date first; none if the names of captures contain no date."""
+    nights = sorted(nights_with_captures(site)) if site.captures.dated else []
+    return sorted(nights, key=lambda night: abs(night - date))
 
 
 def expected(site: Site, camera: Camera, date: datetime.date) -> str:

@@ -9,6 +9,7 @@ from ..records.findings import Finding
 from ..records.record import PairRecord, RunRecord
 from ..site.models import Measure
 from .amounts import least_of
+from .ends import has_no_captures
 from .facts import Facts
 
 _AMOUNTS = "fewer-"
@@ -37,6 +38,8 @@ def with_causes(findings: Iterable[Finding], record: RunRecord, facts: Facts) ->
 def _follows(finding: Finding, lost: Collection[str], record: RunRecord, facts: Facts) -> bool:
     """Does a finding follow from the loss of cameras?"""
     if finding.kind in _NOTHING:
+        if has_no_captures(record):  # the night is at fault, not each camera
+            return False
         too_few = len(record.cameras) - len(lost) < 2
         return too_few or (bool(record.pairs) and not _without(lost, record.pairs))
     if not finding.kind.startswith(_AMOUNTS):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from ..records.findings import Finding, finding
 from ..records.record import RunRecord
+from ..runner.state import Cause
 from ..words import counted, format_size
 from .facts import Facts
 from .wording import shortened
@@ -22,11 +23,19 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         stage, reason = facts.missing
         yield finding("no-result", stage=stage, reason=shortened(reason))
     elif facts.product and not record.cloud and not facts.disk_full:
-        yield finding("no-cloud", reason=shortened(record.reason or "reason unknown"))
+        remedy = None
+        if has_no_captures(record) and record.dated:
+            remedy = "check that the cameras deliver, or name another night: wbflow run SITE.yaml --date DAY"
+        yield finding("no-cloud", remedy=remedy, reason=shortened(record.reason or "reason unknown"))
     if facts.disk_full:
         yield _disk_finding(record, facts)
     if facts.upload_finding:
         yield facts.upload_finding
+
+
+def has_no_captures(record: RunRecord) -> bool:
+    """Has no camera a capture of the night?"""
+    return all(camera.code == Cause.NO_CAPTURE for camera in record.cameras)
 
 
 def _disk_finding(record: RunRecord, facts: Facts) -> Finding:

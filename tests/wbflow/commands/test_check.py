@@ -87,7 +87,8 @@ def test_a_night_without_captures_is_told_the_nights_that_have_some(folder: Path
     (folder / "site.yaml").write_text(SITE.replace("/**/*", "/{date}") % ("", ""))
     result = CliRunner().invoke(main, ["check", str(folder), "--date", "2026-11-12"])
     assert result.exit_code == 1
-    assert "captures of 3 other nights, the last 2026-11-17, 2026-11-18, 2026-11-19: --date 2026-11-19" in result.output
+    assert "there are 3 other nights with captures, the nearest 2026-11-17, 2026-11-18, 2026-11-19" in result.output
+    assert "site.yaml --date 2026-11-17" in result.output
 
 
 def test_captures_hours_apart_are_found(folder: Path) -> None:

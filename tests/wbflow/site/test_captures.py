@@ -305,6 +305,15 @@ def test_a_pattern_that_matches_nothing_shows_what_it_wants_and_what_is_there(tm
     )
 
 
+def test_a_night_without_captures_is_told_the_three_nearest_nights_and_the_newest(tmp_path: Path) -> None:
+    days = (2, 9, 11, 14, 28)
+    s = site(tmp_path, "{camera}/{date:%Y-%m-%d}.jpg", [f"gate/2026-11-{day:02}.jpg" for day in days])
+    assert nothing_matches(s, datetime.date(2026, 11, 12)) == (
+        "there are 5 other nights with captures, the nearest 2026-11-09, 2026-11-11, 2026-11-14, the newest 2026-11-28"
+    )
+    assert nothing_matches(s, datetime.date(2026, 11, 27)).endswith("the nearest 2026-11-11, 2026-11-14, 2026-11-28")
+
+
 def test_a_fault_of_our_own_is_raised_at_once_and_not_taken_for_a_disk_that_hangs() -> None:
     def read() -> None:
         raise re.error("of our own")

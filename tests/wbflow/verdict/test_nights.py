@@ -67,6 +67,17 @@ def test_a_night_without_files_fails_and_names_the_folder_of_captures(toy: ToySi
     assert others == [f"no capture: there is no file {name}.txt; left out tonight" for name in toy.cameras]
 
 
+def test_a_date_without_captures_names_the_nights_that_have_some(toy: ToySite) -> None:
+    toy = ToySite(toy.folder / "dated", ["gate", "roof", "crane"], dated=True, backend="threading")
+    toy.night("2026-11-02")
+    record = toy.run("--date", "2026-11-12", code=1)
+    first = record["verdict"]["findings"][0]
+    nearest = "there are 2 other nights with captures, the nearest 2026-11-01, 2026-11-02"
+    assert first["text"] == f"no cloud: no camera has a usable capture of this night: {nearest}"
+    assert first["remedy"].endswith("name another night: wbflow run SITE.yaml --date DAY")
+    assert "follows" not in first
+
+
 def test_quiet_prints_only_the_findings_of_a_bad_night(toy: ToySite) -> None:
     result = toy.wbflow("run", "-q", "--jobs", "1")
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
