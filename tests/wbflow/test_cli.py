@@ -93,6 +93,12 @@ def test_a_site_file_with_errors_ends_with_2_and_writes_nothing(tmp_path: Path) 
     assert [p.name for p in tmp_path.iterdir()] == ["site.yaml"]
 
 
+def test_a_site_file_that_is_not_there_is_not_to_be_checked(tmp_path: Path) -> None:
+    lines = wbflow("run", str(tmp_path / "nowhere.yaml")).stderr.splitlines()
+    assert lines[0].endswith("nowhere.yaml: cannot be read: No such file or directory")
+    assert lines[1:] == ["  give the path of a site file"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

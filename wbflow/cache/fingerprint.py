@@ -87,7 +87,7 @@ class Modules:
         path = self.file(module)
         if path is None or not name:
             target = name or "a function"
-            raise FunctionError(f"there is no module {module!r} to take {target} from; write package.module:function")
+            raise FunctionError(f"there is no module {module!r} to take {target} from")
         functions = {node.name: node for node in self.tree(path).body if isinstance(node, ast.FunctionDef)}
         if name not in functions:
             known = ", ".join(sorted(functions)) or "none"

@@ -93,6 +93,8 @@ def load(path: Path, work: str | None, for_run: bool = False) -> Site:
     try:
         site = load_site(path, work)
     except SiteError as error:
+        if not any(problem.line for problem in error.problems):  # there is no file, or none that can be read
+            raise
         what = f"{error}\n{counted(len(error.problems), 'problem')} in {path}; nothing was done"
         raise UsageError(what, remedy=f"then: wbflow check {path}") from None
     if for_run:

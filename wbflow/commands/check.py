@@ -98,6 +98,9 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
             except (ValueError, OSError) as error:
                 faults.append(Fault("error", f"{where}: {error}", "the run continues without it", ExitCode.DEGRADED))
         faults += _faults_of_sizes(where, camera, sizes)
+        stale = night.stale.get(camera.id)
+        if stale and not stale.ok:
+            faults.append(Fault("error", f"{where}: {stale.text}", stale.remedy, ExitCode.DEGRADED))
         gap = gap_of(site, camera.id, files)
         if gap is not None:
             remedy = "give the night's captures a pattern of their own, or a folder of their own"

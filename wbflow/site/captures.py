@@ -12,7 +12,7 @@ from pathlib import Path
 from ..cache.memo import Digests
 from ..cache.untrusted import find_untrusted, is_file
 from ..errors import UsageError, WbflowError
-from ..words import counted, printable
+from ..words import printable
 from .bursts import BurstEnds, burst_ends, neighbours, night_of
 from .capture_files import CaptureFile, with_current_digest
 from .hanging_disks import results_by_camera
@@ -234,11 +234,13 @@ def files_there(site: Site) -> list[str]:
 def nothing_matches(site: Site, date: datetime.date) -> str:
     """Why no camera has a capture of a night: only other nights have some, or none fits the pattern."""
     others = nights_near(site, date)
+    if len(others) == 1:
+        return f"only the night of {others[0]} has captures"
     if others:
         newest = max(others)
         nearest = sorted(others[:FEW_EXAMPLES])
-        shown = f"{counted(len(others), 'other night')} with captures, the nearest {', '.join(map(str, nearest))}"
-        return f"there {'is' if len(others) == 1 else 'are'} {shown}{'' if newest in nearest else f', the newest {newest}'}"
+        words = f"there are {len(others)} other nights with captures, the nearest {', '.join(map(str, nearest))}"
+        return words if newest in nearest else f"{words}, the newest {newest}"
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
     there = files_there(site)
     shown = "there is no file at all"

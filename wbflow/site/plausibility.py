@@ -33,6 +33,8 @@ NARROWEST_DEG = 0.5
 """A camera that sees less is a telescope: its focal length may be in another unit."""
 LARGEST_RADIANS = math.pi
 """A field of view in degrees below this may be one in radians."""
+FLATTEST_PICTURE = 9 / 16
+"""Height divided by width of the flattest usual pictures, assumed where only the field of view is stated."""
 MOST_PIXEL_RATIO = 1.5
 """Largest ratio of fx and fy: pixels of cameras are nearly square."""
 LEAST_SCALE = 0.4
@@ -101,6 +103,9 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
             in_degrees = math.degrees(lens.hfov_deg)
             what = f"a view of {lens.hfov_deg:g} degrees is that of a telescope; as radians it would be {in_degrees:.1f} degrees"
             doubts.add((*location, "hfov"), what, f"write degrees: hfov: {in_degrees:.1f}; or fx and fy in pixels")
+        elif lens.hfov_deg is not None and entry.distortion is not None:
+            halfway = _width_in_focal_lengths(lens, lens.hfov_deg) * FLATTEST_PICTURE / 4
+            _check_distortion(("cameras", position, "distortion"), lens, halfway, problems, doubts)
         return
     if not lens.width or not lens.height:
         return
@@ -129,6 +134,12 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
         location = ("cameras", position, "distortion")
     halfway = min(lens.width / fx, lens.height / fy) / 4
     _check_distortion(location, lens, halfway, problems, doubts)
+
+
+def _width_in_focal_lengths(lens: Lens, field_deg: float) -> float:
+    """The width of a picture divided by the focal length, from its horizontal field of view: the inverse of `_field_deg`."""
+    field = math.radians(field_deg)
+    return field if lens.model == "fisheye" else 2 * math.tan(field / 2)
 
 
 def _field_deg(lens: Lens, fx: float) -> float:
@@ -293,7 +304,7 @@ def _check_distances(file: SiteFile, cameras: Sequence[Camera], problems: Proble
     """Do stated distances fit stated positions?"""
     places = {camera.id: camera.placement for camera in cameras}
     for k, (left, right, metres) in enumerate(file.distances):
-        if not isinstance(left, str) or not isinstance(right, str):
+        if not isinstance(left, str) or not isinstance(right, str) or left == right:
             continue  # a problem of its own
         first = places.get(left)
         second = places.get(right)

@@ -29,7 +29,8 @@ _MOST_LEVELS = 40
 _MOST_VALUES = 500_000
 """Largest number of values once aliases are expanded; a site with a thousand cameras has 30,000."""
 _LINES_OF_A_SLIP = 3
-"""How many lines up to the one that YAML complains of are searched for the mistake that it is due to."""
+"""How many lines up to the one that YAML complains of are searched for the mistake that it is due to, without empty ones and
+comments."""
 _LARGEST_INTEGER = 10**15
 """Largest magnitude of an integer that is accepted."""
 
@@ -206,7 +207,8 @@ def _slip_before(text: str, line: int) -> Problem | None:
     YAML takes it for a text that goes on, and reports the next line.
     """
     lines = text.splitlines()
-    for number in range(min(line, len(lines)), max(0, line - _LINES_OF_A_SLIP), -1):
+    written = [number for number in range(1, min(line, len(lines)) + 1) if lines[number - 1].split("#")[0].strip()]
+    for number in reversed(written[-_LINES_OF_A_SLIP:]):
         match = re.match(r"(\s*(?:- )?)([A-Za-z_]\w*)(:|\s*=\s*)([^\s/=:].*)$", lines[number - 1])
         if match:
             before, key, sign, value = match.groups()

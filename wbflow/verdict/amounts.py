@@ -18,8 +18,6 @@ from .wording import listed, most_common_reason
 LEAST_CORRECT_SHARE = 0.9
 """Smallest share of a cloud's points that must be right, as expected from the confidence of each.  Larger: more nights count as
 doubtful."""
-PLANNED_PAIRS = 0.5
-"""Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
 
 
 def check_cloud(record: RunRecord, facts: Facts) -> Iterator[Finding]:
@@ -42,7 +40,7 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     figures = figures_of(record)
     figures[Measure.CAMERAS] = float(sum(camera.ok for camera in record.cameras))
     for name, value in figures.items():
-        least = least_of(name, record, facts)
+        least = facts.least(name, record)
         if value >= least:
             continue
         amount = _amount_text(name, value)
@@ -56,19 +54,6 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             planned = float(len(record.pairs))
             text = f"only {value:.0f} of {planned:.0f} pairs could be used; most of the others: {_why_few(record)}"
             yield _fewer_finding(name, value, planned, text)
-
-
-def least_of(name: str, record: RunRecord, facts: Facts) -> float:
-    """Return the smallest amount that is no finding; 0 if there is nothing to compare it with."""
-    limit = facts.expected.limit(name)
-    if limit > 1:  # the site file expects a number, not a share of the usual one
-        return limit
-    typical = record.usual.figures.get(name) if record.usual else None
-    if typical is not None:
-        return limit * typical
-    if name == Measure.PAIRS:
-        return PLANNED_PAIRS * len(record.pairs)
-    return 0.0  # of cameras, too: each lost one has a finding of its own
 
 
 def _amount_text(name: str, value: float) -> str:

@@ -8,9 +8,7 @@ from dataclasses import replace
 from ..records.findings import Finding
 from ..records.record import PairRecord, RunRecord
 from ..site.models import Measure
-from .amounts import least_of
-from .ends import has_no_captures
-from .facts import Facts
+from .facts import Facts, has_no_captures
 
 _AMOUNTS = "fewer-"
 """Beginning of the codes of findings on amounts that are lower than usual."""
@@ -48,7 +46,7 @@ def _follows(finding: Finding, lost: Collection[str], record: RunRecord, facts: 
     if name == Measure.CAMERAS:
         return True
     amount = float(finding.figures[name])
-    return amount >= _share_without(lost, name, record, facts) * least_of(name, record, facts)
+    return amount >= _share_without(lost, name, record, facts) * facts.least(name, record)
 
 
 def _share_without(lost: Collection[str], name: str, record: RunRecord, facts: Facts) -> float:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from ..records.findings import Finding, finding
 from ..records.record import RunRecord
-from ..runner.state import Cause
 from ..words import counted, format_size
-from .facts import Facts
+from .facts import Facts, has_no_captures
 from .wording import shortened
 
 
@@ -31,11 +30,6 @@ def check_end(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         yield _disk_finding(record, facts)
     if facts.upload_finding:
         yield facts.upload_finding
-
-
-def has_no_captures(record: RunRecord) -> bool:
-    """Has no camera a capture of the night?"""
-    return all(camera.code == Cause.NO_CAPTURE for camera in record.cameras)
 
 
 def _disk_finding(record: RunRecord, facts: Facts) -> Finding:

@@ -8,8 +8,11 @@ from ..records.acknowledgement import Acknowledgement
 from ..records.findings import Finding
 from ..records.record import RunRecord
 from ..runner.state import Cause, State
-from ..site.models import Expected
+from ..site.models import Expected, Measure
 from ..task import Task
+
+PLANNED_PAIRS = 0.5
+"""Smallest share of the planned pairs that must be usable on a night without earlier ones to compare with."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,24 @@ class Facts:
     earlier: tuple[RunRecord, ...] = ()
     """The runs before this one, newest first, one for each night."""
 
+    def least(self, name: str, record: RunRecord) -> float:
+        """Return the smallest amount of a night that is no finding; 0 if there is nothing to compare it with."""
+        limit = self.expected.limit(name)
+        if limit > 1:  # the site file expects a number, not a share of the usual one
+            return limit
+        typical = record.usual.figures.get(name) if record.usual else None
+        if typical is not None:
+            return limit * typical
+        if name == Measure.PAIRS:
+            return PLANNED_PAIRS * len(record.pairs)
+        return 0.0  # of cameras, too: each lost one has a finding of its own
+
     @property
     def disk_full(self) -> tuple[Task, ...]:
         """The tasks that found no space for their results."""
         return tuple(task for task, state in self.failed if state.code == Cause.DISK_FULL)
+
+
+def has_no_captures(record: RunRecord) -> bool:
+    """Has no camera a capture of the night?"""
+    return all(camera.code == Cause.NO_CAPTURE for camera in record.cameras)

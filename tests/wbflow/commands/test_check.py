@@ -91,6 +91,17 @@ def test_a_night_without_captures_is_told_the_nights_that_have_some(folder: Path
     assert "site.yaml --date 2026-11-17" in result.output
 
 
+def test_a_frozen_camera_is_found(folder: Path) -> None:
+    for day in (17, 18):
+        for camera in ("gate", "roof"):
+            picture(folder / "captures" / camera / f"2026-11-{day}.png")
+    (folder / "captures/gate/2026-11-18.png").write_bytes((folder / "captures/gate/2026-11-17.png").read_bytes())
+    code, output = checked(folder, site=SITE.replace("/**/*", "/{date}"))
+    assert code == 3
+    assert "camera gate: its captures are the same as those of 2026-11-17: the picture is frozen" in output
+    assert output.count("error:") == 1
+
+
 def test_captures_hours_apart_are_found(folder: Path) -> None:
     for name in ("2026-11-19_001000", "2026-11-19_233000"):
         picture(folder / "captures" / "gate" / f"{name}.png")

@@ -418,6 +418,10 @@ SLIPS = {
         GOOD.replace("site: ", "site:"),
         "site.yaml:1:1: there is no space after the colon of 'site'\n  write site: yard",
     ),
+    "no space after a colon above empty lines and comments": (
+        GOOD.replace("site: yard\n", "# The yard.\nsite:yard\n\n# One folder for each camera.\n\n# Several captures a night.\n"),
+        "site.yaml:2:1: there is no space after the colon of 'site'\n  write site: yard",
+    ),
     "no space after a later colon": (
         GOOD + "resolution:1600\npairs: {}\n",
         "site.yaml:6:1: there is no space after the colon of 'resolution'",

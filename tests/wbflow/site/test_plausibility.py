@@ -94,6 +94,11 @@ REFUSED: dict[str, tuple[dict[str, str], tuple[str, ...]]] = {
         {"more": "stages: {fuse: {confidence: 70}}\n"},
         ("70 is not from 0 to 1", "0.6", "as percent: 0.7"),
     ),
+    "a distortion of pixels beside a field of view": (
+        {"gate": "{id: gate, intrinsics: {hfov: 72}, distortion: [-21, 0, 0, 0, 0]}"},
+        ("cameras[0].distortion", "-21", "folded"),
+    ),
+    "a distance of a camera from itself": ({"more": "distances: [[roof, roof, 12]]\n"}, ("roof has no distance from itself",)),
     "confidence below zero": ({"more": "stages: {fuse: {confidence: -0.5}}\n"}, ("-0.5 is not from 0 to 1",)),
     "a share in percent": ({"more": "stages: {disparity: {min_density: 20}}\n"}, ("20 is not from 0 to 1", "as percent: 0.2")),
 }
