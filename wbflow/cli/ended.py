@@ -146,11 +146,11 @@ def next_step(finished: Run, site: Path) -> str:
 
 def _remedy(finished: Run, file: str) -> str:
     """Return the remedy of a run's first finding that stands by itself and has one; "" if there is none."""
-    debug = _debug_command(finished, file)
     for finding in finished.record.verdict.findings if finished.record.verdict else ():
         if finding.follows:
             continue
-        if debug and finding.kind in {"no-cloud", "no-result", "task-failed"}:
+        debug = _debug_command(finished, finding, file)
+        if debug:
             return debug
         if finding.remedy:
             about = f"{finding.about}: " if finding.subject else ""
@@ -158,10 +158,12 @@ def _remedy(finished: Run, file: str) -> str:
     return ""
 
 
-def _debug_command(finished: Run, file: str) -> str:
-    """Return the command that looks into the first task that failed for a reason of its own; "" if none has."""
+def _debug_command(finished: Run, finding: Finding, file: str) -> str:
+    """Return the command that looks into the task that a finding is about, if that failed for a reason of its own; else ""."""
+    is_of_any = finding.kind in {"no-cloud", "no-result", "task-failed"}
     for task, event in finished.task_events.items():
-        if event.outcome == "failed" and event.code in DEBUGGABLE:
+        is_cause = is_of_any or (finding.kind == "camera-lost" and finding.subject == task.subject)
+        if is_cause and event.outcome == "failed" and event.code in DEBUGGABLE:
             return f"wbflow debug {file} {shlex.quote(str(task))} --out debug"
     return ""
 

@@ -109,11 +109,11 @@ def _what_is_next(work: WorkFolder, planned: str) -> str:
     holder = holder_of(work.lock)
     if holder:
         return f"at work now: {holder}"
-    then = planned or "not planned: wbflow init SITE.yaml --systemd  writes a timer; or add a line with crontab -e"
     killed = _killed_last(work)
     if killed:
-        then = f"the last one was {killed.words} ({killed.last}); wbflow run SITE.yaml  continues it. Then: {then}"
-    return then
+        then = f"; then {planned}" if planned else ""
+        return f"wbflow run SITE.yaml  continues the last one, {killed.words}{then}"
+    return planned or "not planned: wbflow init SITE.yaml --systemd  writes a timer; or add a line with crontab -e"
 
 
 def _killed_last(work: WorkFolder) -> KilledRun | None:

@@ -111,17 +111,19 @@ def difference(last: Receipt, now: Preimage) -> str:
     if previous.code != now.code:
         renamed = previous.function != now.function
         parts.append(f"function {previous.function} → {now.function}" if renamed else "its code, or a library's version, changed")
-    for name in sorted(previous.parameters.keys() | now.parameters.keys()):
+    names = previous.parameters.keys() | now.parameters.keys()
+    if previous.function != now.function:  # each has parameters of its own
+        names = previous.parameters.keys() & now.parameters.keys()
+    for name in sorted(names):
         old, new = previous.parameters.get(name), now.parameters.get(name)
         if old != new:
             parts.append(f"parameter {now.stage}.{name} {old} → {new}")
-    changed = [
-        name for name in sorted(previous.inputs.keys() | now.inputs.keys()) if previous.inputs.get(name) != now.inputs.get(name)
-    ]
+    inputs = previous.inputs.keys() | now.inputs.keys()
+    changed = [name for name in sorted(inputs) if previous.inputs.get(name) != now.inputs.get(name)]
     if len(changed) == 1:
         parts.append(f"input {changed[0]} changed")
     elif changed:
         named = ", ".join(changed[:_MOST_NAMED_INPUTS])
         suffix = ", ..." if len(changed) > _MOST_NAMED_INPUTS else ""
-        parts.append(f"{len(changed)} of {len(now.inputs)} inputs changed: {named}{suffix}")
+        parts.append(f"{len(changed)} of {len(inputs)} inputs changed: {named}{suffix}")
     return "; ".join(parts)

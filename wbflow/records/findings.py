@@ -47,7 +47,7 @@ class Finding(JsonDataclass):
 
     def __str__(self) -> str:
         beginning = self.text.partition(":")[0]
-        if not self.subject or re.search(rf"(?<![\w.-]){re.escape(self.about)}(?![\w.-])", beginning):
+        if _names(beginning, self.about) or all(_names(beginning, name) for name in self.subject):
             return self.text  # it names its subject itself
         return f"{self.about}: {self.text}"
 
@@ -60,6 +60,11 @@ class Finding(JsonDataclass):
         if row and row.alias:
             data["alias"] = row.alias
         return data
+
+
+def _names(text: str, name: str) -> bool:
+    """Does a text contain a name as a word of its own?"""
+    return re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w.-])", text) is not None
 
 
 @dataclass(frozen=True)
@@ -207,15 +212,15 @@ FINDINGS: Mapping[str, FindingType] = {
             "poses-uncertain",
             "Stated poses are not exact enough for dense matching, and tonight's pictures could not improve them.",
             "measure these poses more exactly, leave them out to have them solved, or add a camera that sees the same things",
-            "stated poses are not exact enough, and tonight's pictures could not improve them: {cameras}; correct matches may be "
-            "up to {row_px:.1f} px off the row that is searched, so depths may come from wrong matches",
+            "stated poses of {cameras} are not exact enough, and tonight's pictures could not improve them: correct matches may "
+            "be up to {row_px:.1f} px off the row that is searched, so depths may come from wrong matches",
         ),
         FindingType(
             "pictures-soft",
             "Pictures are too blurred, smeared, enlarged, shaken, noisy, faint, overexposed or strongly compressed to be "
             "measured in, or hot air distorts them; `sigma_mm` may be too small.",
             "check focus, glass, mount, exposure time, gain and JPEG quality; or lower `resolution`",
-            "pictures are too poor to be measured in: {cameras}; worst values: smallest details {detail_px:.1f} px, edge blur "
+            "pictures of {cameras} are too poor to be measured in; worst values: smallest details {detail_px:.1f} px, edge blur "
             "{blur_px:.1f} px, JPEG blockiness {coarseness:.1f}, noise {noise_left:.0f} grey levels, {saturated:.0%} pure white, "
             "contrast {contrast:.0f} grey levels, matches {off_px:.1f} px from their epipolar lines{fit}; errors of points may "
             "be larger than their sigma_mm",
@@ -267,15 +272,15 @@ FINDINGS: Mapping[str, FindingType] = {
             "poses-inconsistent",
             "Matches contradict each other, and the solved poses depend on some of them.",
             "state measured poses and lenses; or add a camera between those that are far apart",
-            "matches contradict each other: {cameras}; {reason}: the scene has repeating structures, or a stated lens is wrong; "
-            "poses and cloud may be distorted even though they fit the pictures",
+            "matches of {cameras} contradict each other: {reason}: the scene has repeating structures, or a stated lens is "
+            "wrong; poses and cloud may be distorted even though they fit the pictures",
             alias="poses-strained",
         ),
         FindingType(
             "lens-undetermined",
             "Lenses were not stated, and tonight's pictures do not determine them.",
             "state the lens (wbflow calibrate measures it); or add cameras that see the same things at other distances or angles",
-            "the lens is not stated, and tonight's pictures do not determine it: {cameras}; its focal length is uncertain by "
+            "the lens of {cameras} is not stated, and tonight's pictures do not determine it: its focal length is uncertain by "
             "{focal_percent:.1f} % and its distortion by {border_px:.1f} px at the border (standard deviations; real errors can "
             "be several times larger): poses and cloud may be bent or stretched even though they fit the pictures",
         ),

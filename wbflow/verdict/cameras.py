@@ -17,6 +17,9 @@ from .facts import Facts
 from .pose_votes import among_stated, is_refuted
 from .wording import listed, most_common_reason, shortened
 
+_OF_ITS_TASK = {Cause.TOO_SLOW, Cause.WORKER_LOST, Cause.OUT_OF_MEMORY}
+"""Causes that lie in a task, not in the camera."""
+
 
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is each camera in use, and as it should be?  At most one finding each, with the number of nights that it has lasted."""
@@ -88,6 +91,10 @@ def _fault_finding(camera: CameraRecord) -> Finding:
     remedy_of_lost = lost.remedy
     if camera.code == Cause.NO_CAPTURE:
         remedy_of_lost = remedy_of_lost.replace("check the camera", "check that it delivers")
+    elif camera.code == Cause.FAULT:  # of the program, not of the camera
+        remedy_of_lost = FINDINGS["task-failed"].remedy
+    elif camera.code in _OF_ITS_TASK:
+        remedy_of_lost = ""  # the reason says what to do
     health = camera.health
     if health is None or health.ok:
         reason = shortened(camera.reason or camera.outcome)

@@ -38,7 +38,13 @@ class EndedNight:
         If there are several causes, the one that most tasks share.
         """
         state = self.states[task]
-        if state.outcome != "skipped" or "skipped" not in (state.reason or ""):
+        if state.outcome != "skipped":
+            return state.reason
+        for upstream in self._unusable_upstreams(task):
+            reason = self.states[upstream].reason
+            if not upstream.subject and self.states[upstream].outcome == "rejected" and reason and reason in (state.reason or ""):
+                return reason  # of the site as a whole: whoever reads it need not know which stage found it
+        if "skipped" not in (state.reason or ""):
             return state.reason
         # tasks with one stage and one code have the same cause; of the most common one, the first task is the example
         by_cause: dict[tuple[str, str | None], list[Task]] = {}

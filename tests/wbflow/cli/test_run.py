@@ -93,6 +93,24 @@ def test_a_dry_run_of_nothing_is_one_line(toy: ToySite) -> None:
     assert len(toy.wbflow("run", "--dry-run").stdout.splitlines()) > 10
 
 
+@pytest.mark.parametrize(
+    ("subject", "text"),
+    [
+        (("cam-2",), "pictures of cam-2 are too poor: noise"),
+        (("cam-1", "cam-2"), "the lenses of cam-1, cam-2 are not stated"),
+        (("cam-1", "cam-2"), "cam-1--cam-2 failed: boom"),
+        (("cam-1", "cam-2", "cam-3"), "poses of cam-1, cam-2, cam-3 are uncertain: 3 px"),
+    ],
+)
+def test_a_finding_that_names_its_subject_is_not_headed_by_it(subject: tuple[str, ...], text: str) -> None:
+    assert str(Finding("pictures-soft", subject, text)) == text
+
+
+def test_a_finding_that_does_not_name_its_subject_first_is_headed_by_it() -> None:
+    assert str(Finding("camera-moved", ("cam-2",), "turned: unlike cam-2 of old")) == "cam-2: turned: unlike cam-2 of old"
+    assert str(Finding("pairs-disagree", ("cam-1", "cam-2"), "depths of cam-1 differ")) == "cam-1--cam-2: depths of cam-1 differ"
+
+
 def next_after(*findings: Finding, exit_code: int = 3, failed: tuple[str, str] | None = None) -> str:
     """The next step after a night with these findings; failed: name and code of a task that failed."""
     events = {}
@@ -119,6 +137,11 @@ def test_after_a_fault_the_next_step_looks_into_its_task() -> None:
     command = "wbflow debug yard 'features cam-1' --out debug"
     assert next_after(FAILED, LOST, failed=("features cam-1", "fault")) == command
     assert next_after(NO_CLOUD, FAILED, exit_code=1, failed=("features cam-1", "fault")) == command
+
+
+def test_after_a_fault_in_a_task_of_a_camera_the_next_step_looks_into_it() -> None:
+    assert next_after(LOST, failed=("features cam-3", "fault")) == "wbflow debug yard 'features cam-3' --out debug"
+    assert next_after(LOST, failed=("features cam-1", "fault")) == "cam-3: check that it delivers"
 
 
 def test_a_task_whose_input_is_at_fault_is_not_debugged() -> None:

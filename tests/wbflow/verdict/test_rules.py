@@ -341,7 +341,7 @@ def test_inconsistent_solved_poses_are_a_finding() -> None:
     alone = only(judge(replace(night(), poses=world), Facts()))
     assert (alone.subject, alone.figures) == (("gate",), {"excess_px": 0.55})
     many = replace(found, subject=("gate", "mast", "quay"))
-    assert str(found).startswith("gate--mast: ") and str(many).startswith("3 cameras: ")
+    assert str(found).startswith("matches of gate, mast contradict each other: ") and str(many).startswith("3 cameras: ")
 
 
 @pytest.mark.parametrize("known", ["stated", "solved"])
