@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..cache.atomic import free_bytes
 from ..cache.layout import WorkFolder
 from ..cache.lock import holder_of
-from ..records.changes import change_words
+from ..records.changes import change_words, open_changes
 from ..records.killed_runs import KilledRun, killed_runs
 from ..records.record import CameraRecord, RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
@@ -86,12 +86,12 @@ def _since(camera: CameraRecord) -> str:
 
 
 def _changes(record: RunRecord | None) -> str:
-    """Return the changes that nobody has acknowledged."""
+    """Return how many changes nobody has acknowledged, and which."""
     if record is None or record.compared is None:
         return "not known: the last night was not compared with a reference"
-    words = change_words(record)
-    if words:
-        return words
+    unacknowledged = open_changes(record)
+    if unacknowledged:
+        return f"{len(unacknowledged)} that nobody has acknowledged: {change_words(record)}"
     return f"{len(record.changes)}, all acknowledged" if record.changes else "none"
 
 
