@@ -27,10 +27,13 @@ from ..site.yaml_document import suggest
 from ..task import Task
 
 SCRIPT = "run.py"
+"""Runs the task alone."""
 TASK_FILE = "task.json"
 """Describes the task: stage, subject, function, parameters, where its inputs are, and its outcome in the cache."""
 INPUTS = "inputs"
 """Folder of the task's inputs."""
+_MOST_LISTED = 20
+"""Most tasks that are listed for a name that is none."""
 
 _SCRIPT = '''\
 """{task}, night of {night}, alone: what it is handed lies in inputs/, its parameters in task.json."""
@@ -66,17 +69,13 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
     plan.refresh()
     cache = plan.night.cache
     spec = _spec(plan, task)
+    # 1. its inputs, as a worker would hand them over
     (out / INPUTS).mkdir(parents=True, exist_ok=True)
     make_importable(spec.folder)
-    values = arguments_of(spec, cache)
-    entries = {name: _write_input(spec.inputs[name], value, out / INPUTS, name, cache) for name, value in values.items()}
-    receipt, state = cache.by_key(task, spec.preimage().key()), plan.states.get(task)
-    ended: dict[str, str | None] = {"outcome": "not run", "reason": None, "digest": None}
-    if receipt:
-        ended = {"outcome": receipt.outcome, "reason": receipt.reason, "digest": receipt.digest if receipt.file else None}
-    elif state:
-        outcome = "the night uses the reference's" if state.receipt else state.outcome
-        ended = {"outcome": outcome, "reason": state.reason, "digest": None}
+    entries: dict[str, Any] = {}
+    for name, value in arguments_of(spec, cache).items():
+        entries[name] = _write_input(spec.inputs[name], value, out / INPUTS, name, cache)
+    # 2. its description, with how it ended
     description: dict[str, Any] = {
         "stage": task.stage,
         "subject": list(task.subject),
@@ -84,24 +83,43 @@ def write_task(site: Site, task: Task, out: Path, date: datetime.date | None = N
         "function": spec.function,
         "parameters": spec.parameters,
         "inputs": entries,
-        **ended,
+        **_ended(plan, spec),
         "folder": str(spec.folder) if spec.folder else None,
     }
+    # 3. the script
     module, _, name = spec.function.partition(":")
     (out / SCRIPT).write_text(_SCRIPT.format(task=task, night=plan.night.date, module=module, name=name))
     (out / TASK_FILE).write_text(json.dumps(description, indent=1))
     return [out / SCRIPT, out / TASK_FILE, *sorted((out / INPUTS).iterdir())]
 
 
+def _ended(plan: Plan, spec: TaskSpec) -> dict[str, str | None]:
+    """Return how a task has ended, as task.json has it; the digest is that of its artifact in the cache."""
+    receipt = plan.night.cache.by_key(spec.task, spec.preimage().key())
+    if receipt:
+        digest = receipt.digest if receipt.file else None
+        return {"outcome": receipt.outcome, "reason": receipt.reason, "digest": digest}
+    state = plan.states.get(spec.task)
+    if state is None:
+        return {"outcome": "not run", "reason": None, "digest": None}
+    outcome: str = state.outcome
+    if state.receipt:
+        outcome = "the night uses the reference's"
+    return {"outcome": outcome, "reason": state.reason, "digest": None}
+
+
 def _spec(plan: Plan, task: Task) -> TaskSpec:
+    """Return the spec of a task, whether it has run or not.  Raises UsageError as `write_task` does."""
     known = [*plan.states, *plan.ready, *plan.waiting]
     stage = stage_named(task.stage)
-    if stage.scope == "pair" and plan.subjects.pairs(stage.dense) is None:
-        needed = PAIRS if plan.subjects.pairs() is None else DENSE_PAIRS
+    if stage.scope == "pair" and plan.subjects.pairs(stage.dense) is None:  # which pairs there are is not known yet
+        needed = DENSE_PAIRS
+        if plan.subjects.pairs() is None:
+            needed = PAIRS
         raise _waiting_error(plan, task, Task(needed))
     if task not in known:
-        stage_tasks = [str(t) for t in known if t.stage == task.stage]
-        listed = ", ".join(stage_tasks[:20]) or f"there is none of the stage {task.stage}"
+        stage_tasks = [str(other) for other in known if other.stage == task.stage]
+        listed = ", ".join(stage_tasks[:_MOST_LISTED]) or f"there is none of the stage {task.stage}"
         remedy = suggest(str(task), stage_tasks, f"there are: {listed}")
         raise UsageError(f"the night of {plan.night.date} has no task '{task}'", remedy=remedy)
     try:
@@ -131,7 +149,8 @@ def set_up_as_worker(folder: Path) -> None:
     """Allow one thread, and make modules beside the site file importable, as in a run; call this before other imports."""
     os.environ.update(dict.fromkeys(THREADS, "1"))
     module_folder = _description(folder)["folder"]
-    make_importable(Path(module_folder) if module_folder else None)
+    if module_folder:
+        make_importable(Path(module_folder))
 
 
 def inputs(folder: Path) -> dict[str, Any]:
@@ -148,21 +167,26 @@ def parameters(folder: Path) -> dict[str, Any]:
 def keep(folder: Path, result: Any) -> str:
     """Write the result beside the script, and return in words how it compares with the result in the cache."""
     task = _description(folder)
-    recorded = task["outcome"], task["reason"]
+    outcome = task["outcome"]
+    reason = task["reason"]
     rejected_type: Any = load(REJECTED)
     if isinstance(result, rejected_type):
-        is_same = recorded == ("rejected", str(result.reason))
-        return f"rejected, {'as in the cache' if is_same else f'in the cache: {recorded[0]}'}"
+        if outcome == "rejected" and reason == str(result.reason):
+            return "rejected, as in the cache"
+        return f"rejected, in the cache: {outcome}"
     data = result_bytes(result, task["stage"])
     file = folder / f"result{suffix_of(task['stage'])}"
     file.write_bytes(data)
     if task["digest"] is None:
-        return f"{file} (the cache has none: {recorded[0]}{f', {recorded[1]}' if recorded[1] else ''})"
-    is_same = content_digest(data) == task["digest"]
-    return f"{file}: {'the same bytes as the cache has' if is_same else 'other bytes than the cache has'}"
+        why = f"{outcome}, {reason}" if reason else outcome
+        return f"{file} (the cache has none: {why})"
+    if content_digest(data) == task["digest"]:
+        return f"{file}: the same bytes as the cache has"
+    return f"{file}: other bytes than the cache has"
 
 
 def _read_input(entry: Any, folder: Path) -> Any:
+    """Read what `_write_input` has written."""
     if isinstance(entry, dict) and "cloud" in entry:
         return result_of((folder / entry["cloud"]).read_bytes(), FUSE)
     return load("wbflow_stages.exports.plain:read")(entry, folder)

@@ -13,7 +13,9 @@ from ..errors import UsageError
 from ..plugins import load
 
 MANIFEST = "demo.json"
+"""File with the digests of all others, by which a demo is known."""
 EDITABLE = ("site.yaml", "cameras.json")
+"""Files that people edit; they are not written over once they have."""
 _FOLDER_REMEDY = "name a new or an empty folder"
 
 
@@ -27,17 +29,22 @@ def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, 
     """
     existing = _existing_digests(folder)
     try:
-        function = "wbflow_demo.files:demo_files" if nights is None else "wbflow_demo.files:demo_nights"
-        demo = load(function)(scene if nights is None else nights, **options)
+        if nights is None:
+            demo = load("wbflow_demo.files:demo_files")(scene, **options)
+        else:
+            demo = load("wbflow_demo.files:demo_nights")(nights, **options)
     except ValueError as error:
         raise UsageError(str(error), remedy="wbflow demo --help  says what there is") from error
     # an interrupted demo can be written again: the manifest is written first with the old digests, at the end with the new ones
     write_atomic(folder / MANIFEST, _json({"files": existing}))
     digests = {}
     for name, content in demo.files:
-        data = content if isinstance(content, bytes) else bytes(ply_bytes(content.columns, content.comments))
+        data = content
+        if not isinstance(content, bytes):  # a cloud
+            data = bytes(ply_bytes(content.columns, content.comments))
         write_atomic(folder / name, data)
         digests[name] = hashlib.sha256(data).hexdigest()
+    # files of the former demo that this one does not have
     for name in existing.keys() - digests.keys():
         (folder / name).unlink(missing_ok=True)
     write_atomic(folder / MANIFEST, _json({**demo.manifest, "files": digests}))

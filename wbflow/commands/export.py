@@ -32,6 +32,7 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
     if run.record.poses is None:
         raise WbflowError(f"run {run.id} solved no cameras: {run.record.reason or 'it ended before that'}")
     rows = [row for row in EXPORTS if row.name in forms]
+    # all packages are looked for first, so that nothing is half exported
     for row in rows:
         _require(row, georeferenced=bool(run.record.poses.crs))
     for row in rows:
@@ -48,17 +49,23 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
 
 def _require(row: Export, *, georeferenced: bool) -> None:
     """Check that the packages that a format needs are installed.  Raises MissingExtra."""
-    extra = row.extra or (row.extra_on_the_map if georeferenced else "")
+    extra = row.extra
+    what = f"--{row.name}"
+    if not extra and georeferenced:
+        extra = row.extra_on_the_map
+        what += " of a georeferenced site"
     missing = [package for package in EXTRAS.get(extra, ()) if importlib.util.find_spec(package) is None]
     if missing:
-        what = f"--{row.name}{'' if row.extra else ' of a georeferenced site'}"
         raise MissingExtra(f"{what} needs {' and '.join(missing)}: pip install 'wbflow[{extra}]'")
 
 
 def _result(run: Run, stages: tuple[str, ...]) -> Any:
+    """Return what an export takes: of a site-wide stage its result, else those of the first stage that made any, by subject."""
     if stages == (FUSE,):
         return run.cloud_table()
     scope = stage_named(stages[0]).scope
     if scope == "site":
         return run.load(Task(stages[0]))
-    return run.of_pairs(*stages) if scope == "pair" else run.of_cameras(*stages)
+    if scope == "pair":
+        return run.of_pairs(*stages)
+    return run.of_cameras(*stages)

@@ -4,6 +4,7 @@ calibration of a lens from pictures of a board (`wbflow calibrate`)."""
 from __future__ import annotations
 
 import getpass
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 """Suffixes of photographs in lower case; the case of a file's suffix is ignored."""
 
 SITE_FILE = "site.yaml"
+"""Name of the file that is written."""
 _LONGEST_LIST = 112
 """Characters up to which all ids are written on one line."""
 
@@ -45,14 +47,19 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
         cameras[identity] = photographs
         if identity != name:
             renamed.append(f"{identity}: {name}")
-    # a pattern finds files by the id, so cameras whose names are no ids have their files listed
-    pattern = None if renamed else _pattern(cameras)
-    write_atomic(file, _site_text(as_id(folder.resolve().name) or "site", cameras, pattern).encode())
-    return file, ids, f"ids were made from names: {', '.join(renamed)}" if renamed else ""
+    pattern = None
+    note = f"ids were made from names: {', '.join(renamed)}"
+    if not renamed:  # a pattern finds files by the id, so cameras whose names are no ids have their files listed
+        pattern = _pattern(cameras)
+        note = ""
+    site_name = as_id(folder.resolve().name) or "site"
+    write_atomic(file, _site_text(site_name, cameras, pattern).encode())
+    return file, ids, note
 
 
 def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
     """Return each camera's name (of its folder, or of its photograph without suffix) and photographs, relative to `folder`."""
+    # 1. cameras with one photograph each, and folders of cameras with several
     single = [(path.stem, [path.name]) for path in _photographs(folder)]
     folders: list[tuple[str, list[str]]] = []
     for path in sorted(folder.iterdir()):
@@ -60,12 +67,15 @@ def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
             names = [f"{path.name}/{file.name}" for file in _photographs(path)]
             if names:
                 folders.append((path.name, names))
+    # 2. exactly one of these, with two cameras or more
     if single and folders:
         what = f"{folder} holds photographs ({single[0][1][0]}) and folders of photographs ({folders[0][0]}/)"
         raise UsageError(what, remedy="keep one kind: one photograph of each camera, or one folder for each camera")
     cameras = single or folders
     if len(cameras) < 2:
-        contents = f"one camera only ({cameras[0][0]})" if cameras else f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
+        contents = f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
+        if cameras:
+            contents = f"one camera only ({cameras[0][0]})"
         raise UsageError(f"{folder} holds {contents}", remedy="two cameras that see the same things are the least")
     return cameras
 
@@ -81,23 +91,27 @@ def _photographs(folder: Path) -> list[Path]:
 
 def _pattern(cameras: dict[str, list[str]]) -> str | None:
     """Return a pattern that finds exactly each camera's photographs, or None if their suffixes differ by more than case."""
-    names = [name for photographs in cameras.values() for name in photographs]
+    names = list(itertools.chain.from_iterable(cameras.values()))
     suffixes = {Path(name).suffix.lower() for name in names}
     if len(suffixes) > 1:
         return None
-    below = "/*" if "/" in names[0] else ""
-    return f"{{camera}}{below}{Path(names[0]).suffix}"
+    in_folders = "/" in names[0]
+    stem = "{camera}/*" if in_folders else "{camera}"
+    return stem + Path(names[0]).suffix
 
 
 def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
-    camera_list = f" [{', '.join(map(json.dumps, cameras))}]"
-    if pattern is None:
-        camera_list = ""
-        for name, photographs in cameras.items():
+    """Return the text of a site file.  cameras: photographs by id; pattern: finds them; None if they must be listed."""
+    lines: list[str] = []
+    for name, photographs in cameras.items():
+        entry = json.dumps(name)  # JSON is YAML, so quotes protect what YAML would read as a number or a date
+        if pattern is None:
             images = json.dumps(photographs, ensure_ascii=False)
-            camera_list += f"\n  - {{id: {json.dumps(name)}, images: {images}}}"
-    elif len(camera_list) > _LONGEST_LIST:
-        camera_list = "".join(f"\n  - {json.dumps(name)}" for name in cameras)
+            entry = f"{{id: {entry}, images: {images}}}"
+        lines.append(f"\n  - {entry}")
+    camera_list = f" [{', '.join(map(json.dumps, cameras))}]"
+    if pattern is None or len(camera_list) > _LONGEST_LIST:
+        camera_list = "".join(lines)
     return _SITE.format(
         site=json.dumps(site),
         pattern=json.dumps(pattern or "{camera}"),
@@ -141,6 +155,7 @@ def write_calibration(
     files = [pictures]
     if pictures.is_dir():
         files = sorted(file for file in pictures.iterdir() if file.is_file() and not is_nobodys(file.name))
+    # names and bytes: the vision decides what is a picture, a video, or neither
     try:
         data = {file.name: read_untrusted(file) for file in files}
     except Unreadable as error:
@@ -191,11 +206,20 @@ WantedBy=timers.target
 
 def write_units(site: Site) -> list[Path]:
     """Write a systemd service and a timer beside the site file; returns their paths.  Raises OSError."""
-    captures = any(entry.url for entry in site.settings.cameras)
+    has_urls = any(entry.url for entry in site.settings.cameras)
+    # systemd replaces % by its own names, and takes what is in quotes as one word
     file = '"' + str(site.file.resolve()).replace("%", "%%").replace('"', '\\"') + '"'
-    values = {"name": site.name, "user": getpass.getuser(), "python": sys.executable, "file": file}
-    units = {"service": _SERVICE.format(**values, capture=" --capture" if captures else ""), "timer": _TIMER.format(**values)}
-    paths = [site.folder / f"wbflow-{site.name}.{kind}" for kind in units]
-    for path, text in zip(paths, units.values(), strict=True):
+    service = _SERVICE.format(
+        name=site.name,
+        user=getpass.getuser(),
+        python=sys.executable,
+        file=file,
+        capture=" --capture" if has_urls else "",
+    )
+    units = {"service": service, "timer": _TIMER.format(name=site.name)}
+    paths = []
+    for kind, text in units.items():
+        path = site.folder / f"wbflow-{site.name}.{kind}"
         write_atomic(path, text.encode())
+        paths.append(path)
     return paths
