@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 100_000_000
 """Most characters that are printed at once; it must hold a whole run.json."""
-
 LEAST_COLUMNS = 80
 """Narrower terminals wrap lines themselves."""
 LEVEL_COLOURS = {"good": "green", "degraded": "yellow", "failed": "red"}
@@ -46,7 +45,9 @@ def day(text: str) -> Day:
 
 def date_at(site: Site, given: Day | None) -> datetime.date | None:
     """Return the date that a day means at a site; None for None."""
-    return site.today() + datetime.timedelta(days=given) if isinstance(given, int) else given
+    if isinstance(given, int):
+        return site.today() + datetime.timedelta(days=given)
+    return given
 
 
 def next_time(text: str) -> datetime.datetime:
@@ -55,7 +56,9 @@ def next_time(text: str) -> datetime.datetime:
         moment = datetime.datetime.combine(datetime.date.today(), datetime.time.fromisoformat(text))
     except ValueError:
         raise click.BadParameter(f"{text!r} is not a time of day; write 06:00") from None
-    return moment if moment > datetime.datetime.now() else moment + datetime.timedelta(days=1)
+    if moment > datetime.datetime.now():
+        return moment
+    return moment + datetime.timedelta(days=1)
 
 
 PATH = click.Path(path_type=Path)
@@ -113,7 +116,9 @@ def columns(err: bool = False) -> int:
 
     err: of stderr instead of stdout.  The environment variable COLUMNS replaces the terminal's number.
     """
-    stream = sys.stderr if err else sys.stdout
+    stream = sys.stdout
+    if err:
+        stream = sys.stderr
     if not stream.isatty() and "COLUMNS" not in os.environ:
         return LONGEST_TEXT
     return max(LEAST_COLUMNS, shutil.get_terminal_size().columns)
@@ -121,7 +126,9 @@ def columns(err: bool = False) -> int:
 
 def fitted(line: str, most: int) -> str:
     """Return a line with at most this many characters; the end of a longer one is left out."""
-    return line if len(line) <= most else f"{line[: most - 3].rstrip()}..."
+    if len(line) <= most:
+        return line
+    return f"{line[: most - 3].rstrip()}..."
 
 
 def echo(text: object, err: bool = False, *, level: str = "", indent: int | None = None, fold: bool = False) -> None:
@@ -159,6 +166,7 @@ def echo(text: object, err: bool = False, *, level: str = "", indent: int | None
     try:
         click.echo(shown, err=err)
     except BrokenPipeError:
+        # Python itself would complain at its end: what it still has to write goes nowhere
         with Path(os.devnull).open("w") as null_file:
             os.dup2(null_file.fileno(), (sys.stderr if err else sys.stdout).fileno())
 

@@ -60,7 +60,8 @@ class StageProgress:
     def counts(self) -> str:
         """Return the number of tasks by outcome: "24 ran, 3 rejected"."""
         counts = Counter(self.outcomes.values())
-        return ", ".join(f"{counts[name]} {name}" for name in ("ran", "cached", "rejected", "failed", "skipped") if counts[name])
+        known = [name for name in ("ran", "cached", "rejected", "failed", "skipped") if counts[name]]
+        return ", ".join(f"{counts[name]} {name}" for name in known)
 
 
 class Display:
@@ -88,8 +89,10 @@ class Display:
             self._count(event)
             if self._is_printed(event):
                 subject = "--".join(event.task.subject) or self.site
-                duration = f"{event.cpu:.1f} s" if self._verbose and event.cpu is not None else ""
-                line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {event.reason or duration}"
+                words = event.reason or ""
+                if not words and self._verbose and event.cpu is not None:
+                    words = f"{event.cpu:.1f} s"
+                line = f"{subject:20} {event.task.stage:10} {event.outcome:9} {words}"
                 self.print(line.rstrip(), is_fault=event.outcome == "failed")
         if self._verbose and isinstance(event, Event) and event.trace:
             self.print(event.trace, is_fault=True)
@@ -108,7 +111,9 @@ class Display:
     @property
     def totals(self) -> tuple[int, int]:
         """Number of finished tasks, and of all known tasks."""
-        return sum(stage.done for stage in self.stages.values()), sum(stage.tasks for stage in self.stages.values())
+        done = sum(stage.done for stage in self.stages.values())
+        known = sum(stage.tasks for stage in self.stages.values())
+        return done, known
 
     def _plan(self, event: PlannedEvent) -> None:
         """Update the number of tasks, and show the stages that have ended since the last call and had work to do in this run."""
@@ -204,5 +209,7 @@ class LiveTable(Display):
                 self._bars.update(self._rows[name], total=stage.tasks, completed=stage.done, text=stage.counts())
         if self.stages:
             done, tasks = self.totals
-            running = printable(", ".join(map(str, self.running)))
-            self._bars.update(self._overall, total=tasks, completed=done, text="publishing the run" if done >= tasks else running)
+            text = "publishing the run"
+            if done < tasks:
+                text = printable(", ".join(map(str, self.running)))
+            self._bars.update(self._overall, total=tasks, completed=done, text=text)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import ExitCode
 from ..records.changes import change_words, open_changes
+from ..records.findings import Verdict
 from ..records.record import NO_SCALE, STATE_SCALE
 from ..words import counted
 from .common import echo
@@ -44,9 +45,10 @@ def print_night(finished: Run, quiet: bool) -> None:
             print_findings(record, err=True)
         return
     print_findings(record, err=False)
-    tasks = ", ".join(f"{count} {name}" for name, count in record.tasks.to_json().items() if count)
+    counts = [f"{count} {name}" for name, count in record.tasks.to_json().items() if count]
+    tasks = ", ".join(counts) or "nothing to do"
     paths = finished.run_folder.paths
-    echo(f"tasks   {tasks or 'nothing to do'}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
+    echo(f"tasks   {tasks}; {record.seconds.wall:.1f} s, {record.seconds.cpu:.1f} CPU s")
     if record.cloud:
         echo(f"cloud   {paths.cloud}  ({record.cloud.points:,} points)")
     echo(f"report  {paths.report}")
@@ -62,14 +64,17 @@ def print_findings(record: RunRecord, err: bool) -> None:
     verdict = record.verdict
     if verdict is None:
         return
-    scale = f"; {NO_SCALE}" if record.unscaled else ""
-    line = f"{record.site}, night of {record.date}: {_level_words(record, verdict.level)}{scale}"
+    line = f"{record.site}, night of {record.date}: {_level_words(record, verdict.level)}"
+    if record.unscaled:
+        line += f"; {NO_SCALE}"
     echo(line, err=err, level=verdict.level, indent=2)
     # 1. the findings up to the last one about a camera that others follow from
     others: list[Finding] = []
     following: list[Finding] = []
     cause_count = 0
-    causes = {name for finding in verdict.findings for name in finding.follows}
+    causes: set[str] = set()
+    for finding in verdict.findings:
+        causes.update(finding.follows)
     for finding in verdict.findings:
         if finding.follows:
             following.append(finding)
@@ -80,7 +85,8 @@ def print_findings(record: RunRecord, err: bool) -> None:
     _print_findings(others[:cause_count], err)
     # 2. what follows from these, which needs no remedy of its own
     if following:
-        echo(f"  which leaves {'; '.join(finding.text for finding in following)}", err=err, indent=6)
+        texts = [finding.text for finding in following]
+        echo(f"  which leaves {'; '.join(texts)}", err=err, indent=6)
     # 3. everything else
     _print_findings(others[cause_count:], err)
 
@@ -99,6 +105,7 @@ def _level_words(record: RunRecord, level: str) -> str:
 
 
 def _print_findings(findings: Sequence[Finding], err: bool) -> None:
+    """Print findings; those one after another that have the same remedy have it once."""
     texts = list(_finding_texts(findings))
     for remedy, with_this_remedy in groupby(texts[:MOST_FINDINGS], key=itemgetter(1)):
         for text, _ in with_this_remedy:
@@ -116,12 +123,11 @@ def print_table(records: Sequence[RunRecord]) -> None:
     width = max(len(record.site) for record in records)
     echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding, or what has changed")
     for record in records:
-        level = record.verdict.level if record.verdict else "failed"
-        findings = record.verdict.findings if record.verdict else ()
+        verdict = record.verdict or Verdict("failed")
         points = f"{record.cloud.points:,}" if record.cloud else "-"
-        reason = findings[0] if findings else change_words(record)
-        line = f"{record.site:{width}}  {record.date:10}  {level:8}  {points:>11}  {reason}"
-        echo(line.rstrip(), level=level, fold=True)
+        reason = str(verdict.findings[0]) if verdict.findings else change_words(record)
+        line = f"{record.site:{width}}  {record.date:10}  {verdict.level:8}  {points:>11}  {reason}"
+        echo(line.rstrip(), level=verdict.level, fold=True)
 
 
 def next_step(finished: Run, site: Path) -> str:
@@ -146,15 +152,16 @@ def next_step(finished: Run, site: Path) -> str:
 
 def _remedy(finished: Run, file: str) -> str:
     """Return the remedy of a run's first finding that stands by itself and has one; "" if there is none."""
-    for finding in finished.record.verdict.findings if finished.record.verdict else ():
+    verdict = finished.record.verdict or Verdict("failed")
+    for finding in verdict.findings:
         if finding.follows:
             continue
         debug = _debug_command(finished, finding, file)
         if debug:
             return debug
         if finding.remedy:
-            about = f"{finding.about}: " if finding.subject else ""
-            return about + finding.remedy.replace("SITE.yaml", file)
+            remedy = finding.remedy.replace("SITE.yaml", file)
+            return f"{finding.about}: {remedy}" if finding.subject else remedy
     return ""
 
 
@@ -173,9 +180,9 @@ def _finding_texts(findings: Iterable[Finding]) -> Iterator[tuple[str, str]]:
     for _, similar in groupby(findings, key=lambda finding: (finding.kind, finding.remedy)):
         group = list(similar)
         is_short = len(group) <= MOST_ALIKE or not all(finding.subject for finding in group)
-        in_full = group if is_short else group[: MOST_ALIKE - 1]
-        for finding in in_full:
+        in_full = len(group) if is_short else MOST_ALIKE - 1
+        for finding in group[:in_full]:
             yield str(finding), finding.remedy
-        rest = group[len(in_full) :]
+        rest = [finding.about for finding in group[in_full:]]
         if rest:
-            yield f"and {len(rest)} more like these: {', '.join(finding.about for finding in rest)}", group[-1].remedy
+            yield f"and {len(rest)} more like these: {', '.join(rest)}", group[-1].remedy

@@ -16,6 +16,7 @@ from ..errors import ExitCode, WbflowError
 from .common import stop
 
 _UNWRITABLE = {errno.EACCES, errno.EPERM, errno.EROFS}
+"""Error numbers of a work folder that may not be written."""
 
 
 class _Commands(click.Group):
@@ -23,7 +24,8 @@ class _Commands(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the named command; for an unknown one, suggest the most similar."""
-        if args[0] not in self.commands and (similar := difflib.get_close_matches(args[0], self.commands, 1)):
+        similar = difflib.get_close_matches(args[0], self.commands, 1)
+        if similar and args[0] not in self.commands:
             ctx.fail(f"No such command {args[0]!r}; did you mean  wbflow {similar[0]}?")
         return super().resolve_command(ctx, args)
 

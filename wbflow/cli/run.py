@@ -5,7 +5,8 @@ from __future__ import annotations
 import datetime
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,10 +21,12 @@ from .status import planned_night, print_plan, totals_of
 
 if TYPE_CHECKING:
     from ..capture.take import Delivery
+    from ..records.finished_run import Run
     from ..records.record import RunRecord
     from ..site.models import Site
 
 BACKENDS = ("processes", "loky", "threading", "dask")
+"""Where tasks can run; loky is another word for processes."""
 
 
 @click.command()
@@ -80,56 +83,93 @@ def run(
     if work and len(sites) > 1:
         what = "--work is the folder of one site, and several are named"
         raise UsageError(what, remedy="name it as `work:` in each site file")
-    from .. import api
-    from ..commands.status import explain
-    from .ended import next_step, print_night, print_table
+    if dry_run:
+        sys.exit(_for_each(sites, lambda path: _print_plans(load(path, work), date, since, options)))
 
-    quiet = quiet or as_json
-    several = since is not None or len(sites) > 1
-    stop_at = options["stop_at"]
-    records: list[RunRecord] = []
-    documents: list[Any] = []
+    from .ended import print_table
 
-    def run_site(path: Path) -> int:
-        site = load(path, work, for_run=not dry_run)
-        deliveries = _capture(site, quiet) if capture_first else []
-        not_captured = {delivery.camera: delivery.fault for delivery in deliveries if delivery.fault}
-        nights = _nights(site, date, since)
-        if dry_run:
-            for night in nights:
-                planned = explain(planned_night(site, night, options["until"], options["force"]))
-                if "would run" in planned.totals:
-                    print_plan(planned)
-                else:
-                    echo(f"night of {planned.night}: nothing would run: {totals_of(planned)}")
-            return ExitCode.GOOD
+    session = _Session(date, since, capture_first, work, as_json, verbose, quiet or as_json, options)
+    code = _for_each(sites, session.run_site)
+    if as_json:
+        is_list = since is not None or len(sites) > 1
+        echo_json(session.documents if is_list else session.documents[0])
+    elif len(session.records) > 1 and not quiet:
+        print_table(session.records)
+    sys.exit(code)
+
+
+@dataclass
+class _Session:
+    """The runs of one command, with its options."""
+
+    date: Day | None
+    since: Day | None
+    capture_first: bool
+    work: str | None
+    as_json: bool
+    verbose: bool
+    quiet: bool
+    """Print only what went wrong; also if stdout gets JSON."""
+    options: Mapping[str, Any]
+    """Further options of `wbflow.run`."""
+    records: list[RunRecord] = field(default_factory=list)
+    """Records of the runs so far."""
+    documents: list[Any] = field(default_factory=list)
+    """The content of their run.json, if JSON is wanted."""
+
+    def run_site(self, path: Path) -> int:
+        """Work on the nights of a site; returns the worst exit code.  path: the site file as the user named it."""
+        from .ended import next_step
+
+        site = load(path, self.work, for_run=True)
+        not_captured: dict[str, str] = {}
+        if self.capture_first:
+            for delivery in _capture(site, self.quiet):
+                if delivery.fault:
+                    not_captured[delivery.camera] = delivery.fault
+        nights = _nights(site, self.date, self.since)
+        stop_at = self.options["stop_at"]
         exit_codes: list[int] = []
         for night in nights:
             if exit_codes and stop_at and stop_at <= datetime.datetime.now():
                 echo(f"{counted(len(nights) - len(exit_codes), 'night')} not begun: --stop-at {stop_at:%H:%M}", err=True)
                 exit_codes.append(ExitCode.DEGRADED)
                 break
-            with display(site.name, verbose, quiet) as progress:
-                finished = api.run(site, date=night, not_captured=not_captured, listen=progress.receive, **options)
+            finished = self._run_night(site, night, not_captured)
             exit_codes.append(finished.record.exit_code)
-            records.append(finished.record)
-            if as_json:
-                documents.append(json.loads(finished.run_folder.paths.record.read_bytes()))
-            print_night(finished, quiet)
             if finished.record.exit_code == ExitCode.INTERRUPTED:
                 break
-        if not quiet:
+        if not self.quiet:
             following = next_step(finished, path)
             is_command = following.startswith("wbflow ")  # a command is copied: it stays on one line
             echo(f"next    {following}", indent=None if is_command else 8)
         return worst(exit_codes)
 
-    code = _for_each(sites, run_site)
-    if as_json and not dry_run:
-        echo_json(documents if several else documents[0])
-    if len(records) > 1 and not quiet:
-        print_table(records)
-    sys.exit(code)
+    def _run_night(self, site: Site, night: datetime.date | None, not_captured: Mapping[str, str]) -> Run:
+        """Work on one night, and print what came of it."""
+        from .. import api
+        from .ended import print_night
+
+        with display(site.name, self.verbose, self.quiet) as progress:
+            finished = api.run(site, date=night, not_captured=not_captured, listen=progress.receive, **self.options)
+        self.records.append(finished.record)
+        if self.as_json:  # now: a later run may clean up
+            self.documents.append(json.loads(finished.run_folder.paths.record.read_bytes()))
+        print_night(finished, self.quiet)
+        return finished
+
+
+def _print_plans(site: Site, date: Day | None, since: Day | None, options: Mapping[str, Any]) -> int:
+    """Print what would run, and why, for each night; nothing is written."""
+    from ..commands.status import explain
+
+    for night in _nights(site, date, since):
+        planned = explain(planned_night(site, night, options["until"], options["force"]))
+        if "would run" in planned.totals:
+            print_plan(planned)
+        else:
+            echo(f"night of {planned.night}: nothing would run: {totals_of(planned)}")
+    return ExitCode.GOOD
 
 
 def _nights(site: Site, date: Day | None, since: Day | None) -> Sequence[datetime.date | None]:
@@ -137,7 +177,9 @@ def _nights(site: Site, date: Day | None, since: Day | None) -> Sequence[datetim
     from ..site.captures import backlog
 
     first_night = date_at(site, since)
-    return backlog(site, first_night) if first_night else [date_at(site, date)]
+    if first_night is None:
+        return [date_at(site, date)]
+    return backlog(site, first_night)
 
 
 def _for_each(sites: Sequence[Path], work: Callable[[Path], int]) -> int:
@@ -173,9 +215,12 @@ def capture(site: Path, quiet: bool) -> None:
     wbflow run site.yaml --capture -q             both, for cron
     """
     captured = _capture(load(site, None), quiet)
+    code = ExitCode.GOOD
     if not any(delivery.files for delivery in captured):
-        sys.exit(ExitCode.FAILED)
-    sys.exit(ExitCode.DEGRADED if any(delivery.fault for delivery in captured) else ExitCode.GOOD)
+        code = ExitCode.FAILED
+    elif any(delivery.fault for delivery in captured):
+        code = ExitCode.DEGRADED
+    sys.exit(code)
 
 
 def _capture(site: Site, quiet: bool) -> list[Delivery]:

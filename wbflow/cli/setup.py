@@ -13,8 +13,8 @@ from wbflow_stages.contracts.defaults import RESOLUTION
 from ..errors import ExitCode, UsageError
 from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
 
-_DEFAULTS = ("yard", "day", "standard", "standard")
-"""Scene, light, lenses and surfaces that --nights requires, which are the defaults."""
+_DEFAULTS = {"scene": "yard", "light": "day", "lenses": "standard", "surfaces": "standard"}
+"""Options that --nights does not take, with their defaults."""
 
 
 @click.command()
@@ -45,7 +45,7 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 
     if nights is None:
         write_demo(folder, **options)
-    elif (options.pop("scene"), options.pop("light"), options.pop("lenses"), options.pop("surfaces")) != _DEFAULTS:
+    elif tuple(options.pop(name) for name in _DEFAULTS) != tuple(_DEFAULTS.values()):
         remedy = "leave out --scene, --light, --lenses and --surfaces"
         raise UsageError("--nights renders the yard, each night in its own light", remedy=remedy)
     else:
@@ -132,7 +132,8 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
         finished = run(site, jobs=jobs, until=LAST_STAGE, listen=progress.receive)
     for file in write_pair(finished, out):
         echo(file)
-    if reason := failure(finished):
+    reason = failure(finished)
+    if reason:
         stop(ExitCode.FAILED, f"no disparity: {reason}")
 
 
@@ -169,8 +170,10 @@ def calibrate(
     """
     from ..commands.init import write_calibration
 
-    corners = re.fullmatch(r"(\d+)x(\d+)", board)
-    columns, rows = map(int, corners.groups()) if corners else (0, 0)
+    counts = re.fullmatch(r"(\d+)x(\d+)", board)
+    columns = rows = 0
+    if counts:
+        columns, rows = map(int, counts.groups())
     if not (2 < columns < 100 and 2 < rows < 100):
         raise UsageError(f"{board!r} is not a board", remedy="give columns x rows, such as --board 9x6")
     if marker >= square:
@@ -199,7 +202,10 @@ def stages(stage: str | None) -> None:
         remedy = f"wbflow stages  shows all; there are {', '.join(row.name for row in STAGES)}"
         raise UsageError(f"there is no stage {stage!r}", remedy=remedy)
     reader = FunctionReader()
-    echo("\n\n".join("\n".join(describe(row, reader)) for row in chosen or STAGES))
+    for number, row in enumerate(chosen or STAGES):
+        if number:
+            echo("")
+        echo("\n".join(describe(row, reader)))
 
 
 @click.command()

@@ -56,13 +56,17 @@ class Fault:
 
 def check(site: Site, date: datetime.date | None, network: bool = True) -> list[Fault]:
     """Find everything that would spoil a run, or part of one.  network: also ask cameras with a `url` for a picture."""
-    doubts = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
+    faults = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
     machine = check_machine()
-    if machine:
-        return doubts + machine
+    if machine:  # without its libraries, nothing else can be examined
+        return faults + machine
     night = read_night(site, Options(date))
-    cameras = check_urls(site) if network else []
-    return [*doubts, *check_captures(site, night), *cameras, *check_disk(night), *check_published(site.work_folder)]
+    faults += check_captures(site, night)
+    if network:
+        faults += check_urls(site)
+    faults += check_disk(night)
+    faults += check_published(site.work_folder)
+    return faults
 
 
 def _headed(problem: Problem) -> str:
@@ -114,7 +118,8 @@ def _faults_of_sizes(where: str, camera: Camera, sizes: dict[str, tuple[int, int
         return []
     faults = []
     ordered = list(sizes.values())
-    width, height = max(reversed(ordered), key=ordered.count)  # of equally common sizes the latest, as the stage frames takes it
+    # the most common size; of equally common ones the latest, as the stage frames takes it
+    width, height = max(reversed(ordered), key=ordered.count)
     for name, size in sizes.items():
         if size != (width, height):
             what = f"{where}: {name} is {size[0]}x{size[1]}, its other captures are {width}x{height}: it is left out"
@@ -127,10 +132,12 @@ def _faults_of_sizes(where: str, camera: Camera, sizes: dict[str, tuple[int, int
         name = next(name for name, size in sizes.items() if size == (width, height))
         what = f"{where}: {name} is {width}x{height}, its intrinsics are for {lens.width}x{lens.height}"
         faults.append(Fault("error", what, "calibrate for this size, or correct width and height", ExitCode.DEGRADED))
-    for polygon in camera.privacy if not lens.width else ():  # with a lens, loading the site has checked them
-        if outside := polygon_outside(polygon, (width, height)):
-            remedy = "corners are pixels of a capture, x before y, or shares of its width and height"
-            faults.append(Fault("error", f"{where}: privacy: {outside}", remedy, ExitCode.DEGRADED))
+    if not lens.width:  # with a size of the picture, loading the site has checked the polygons
+        for polygon in camera.privacy:
+            outside = polygon_outside(polygon, (width, height))
+            if outside:
+                remedy = "corners are pixels of a capture, x before y, or shares of its width and height"
+                faults.append(Fault("error", f"{where}: privacy: {outside}", remedy, ExitCode.DEGRADED))
     if camera.mask is not None:
         faults += _faults_of_mask(where, camera.mask, width, height)
     return faults
@@ -176,7 +183,9 @@ def check_urls(site: Site) -> list[Fault]:
 
 def _remedy_of_missing(site: Site, camera: Camera) -> str:
     """What to do about a camera without captures; the file names may spell its id differently."""
-    capture_names = site.captures.cameras() - {other.id for other in site.cameras} if camera.images is None else set()
+    capture_names: set[str] = set()  # what the pattern finds that is no camera of the site
+    if camera.images is None:
+        capture_names = site.captures.cameras() - {other.id for other in site.cameras}
     similar = difflib.get_close_matches(camera.id, capture_names, 1)
     if similar:
         return f"did you mean {printable(similar[0])!r}? There are captures of it"
@@ -216,9 +225,8 @@ def check_machine() -> list[Fault]:
 
 def _import_remedy(message: str) -> str:
     library = re.search(r"lib[\w.+-]+\.so[.\d]*", message)
-    package = DEBIAN_PACKAGES.get(library.group(0)) if library else None
-    if package:
-        return f"as root: apt-get install {package}"
+    if library and library.group(0) in DEBIAN_PACKAGES:
+        return f"as root: apt-get install {DEBIAN_PACKAGES[library.group(0)]}"
     return "reinstall wbflow: python -m pip install --force-reinstall wbflow"
 
 

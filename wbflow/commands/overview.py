@@ -111,8 +111,8 @@ def _what_is_next(work: WorkFolder, planned: str) -> str:
         return f"at work now: {holder}"
     killed = _killed_last(work)
     if killed:
-        then = f"; then {planned}" if planned else ""
-        return f"wbflow run SITE.yaml  continues the last one, {killed.words}{then}"
+        words = f"wbflow run SITE.yaml  continues the last one, {killed.words}"
+        return f"{words}; then {planned}" if planned else words
     return planned or "not planned: wbflow init SITE.yaml --systemd  writes a timer; or add a line with crontab -e"
 
 

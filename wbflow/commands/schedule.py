@@ -25,9 +25,9 @@ def next_run(site: Site) -> str:
         return f"{moment} ({timer})"
     for line in _crontab_lines():
         if _runs(line, site):
-            words = line.split()
-            times = words[:1] if line.startswith("@") else words[:_TIME_FIELDS]
-            return f"{' '.join(times)} (crontab)"
+            fields = 1 if line.startswith("@") else _TIME_FIELDS
+            times = " ".join(line.split()[:fields])
+            return f"{times} (crontab)"
     return ""
 
 
@@ -36,7 +36,10 @@ def _crontab_lines() -> Iterator[str]:
     texts = [_output_of("crontab", "-l")]
     for name in _SYSTEM_CRONTABS:
         place = Path(name)
-        for file in sorted(place.iterdir()) if place.is_dir() else [place]:
+        files = [place]
+        if place.is_dir():
+            files = sorted(place.iterdir())
+        for file in files:
             try:
                 texts.append(file.read_text(errors="replace"))
             except OSError:  # not there, or not for this user
@@ -53,8 +56,12 @@ def _runs(line: str, site: Site) -> bool:
     if "wbflow" not in line:
         return False
     names = {str(site.file), str(site.file.resolve()), str(site.folder), str(site.folder.resolve())}
-    words = [word.strip("\"'").rstrip("/") for word in line.split()]
-    return any(fnmatch.fnmatch(name, word) for name in names for word in words if "/" in word)
+    for word in line.split():
+        path = word.strip("\"'").rstrip("/")
+        # a cron job has no folder of its own, so that a path without one says nothing
+        if "/" in path and any(fnmatch.fnmatch(name, path) for name in names):
+            return True
+    return False
 
 
 def _output_of(*command: str) -> str:
@@ -65,4 +72,6 @@ def _output_of(*command: str) -> str:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_ANSWER_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return done.stdout if done.returncode == 0 else ""
+    if done.returncode != 0:
+        return ""
+    return done.stdout

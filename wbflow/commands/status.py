@@ -58,12 +58,14 @@ def explain(plan: Plan) -> Status:
     mean_costs = {stage: fmean(values) for stage, values in costs.items()}
     for task in (*plan.ready, *plan.waiting):
         last = plan.night.cache.newest(task)
-        seconds = last.cpu if last else mean_costs.get(task.stage)
+        seconds = mean_costs.get(task.stage)
+        if last:
+            seconds = last.cpu
         why = _why(plan, task, last)
         lines[task] = Line(str(task), "would run", why, why, seconds)
     # 3. all of them, in the order of the pipeline
-    order = {stage.name: number for number, stage in enumerate(plan.night.stages)}
-    ordered = tuple(lines[task] for task in sorted(lines, key=lambda task: order[task.stage]))
+    names = [stage.name for stage in plan.night.stages]
+    ordered = tuple(lines[task] for task in sorted(lines, key=lambda task: names.index(task.stage)))
     expected = [line.seconds for line in ordered if line.seconds is not None]
     unknown_pairs = None in (plan.subjects.pairs(), plan.subjects.pairs(dense=True))
     return Status(
@@ -79,8 +81,11 @@ def explain(plan: Plan) -> Status:
 def _cause(plan: Plan, task: Task) -> str:
     """Return why a task has ended as it has; one that was skipped because others were has their reason."""
     reason = plan.states[task].reason or ""
-    for upstream in plan.upstreams(task) if plan.states[task].outcome == "skipped" else ():
+    if plan.states[task].outcome != "skipped":
+        return reason
+    for upstream in plan.upstreams(task):
         state = plan.states.get(upstream)
+        # a reason that is handed on is the end of the next one
         if state and state.outcome == "skipped" and state.reason and reason.endswith(state.reason):
             return _cause(plan, upstream)
     return reason
@@ -96,7 +101,8 @@ def _why(plan: Plan, task: Task, last: Receipt | None) -> str:
     if spec:
         return difference(last, spec.preimage()) or "its artifact is gone"
     upstreams = plan.upstreams(task)
-    pending = sum(upstream not in plan.states for upstream in upstreams)  # if they give the same bytes, the task is not run
+    # those that may change: if they give the same bytes again, the task is not run
+    pending = sum(upstream not in plan.states for upstream in upstreams)
     if not pending:
         return "once the pair graph is known"
     if pending == 1:
@@ -109,8 +115,10 @@ def difference(last: Receipt, now: Preimage) -> str:
     previous = last.preimage
     parts = []
     if previous.code != now.code:
-        renamed = previous.function != now.function
-        parts.append(f"function {previous.function} → {now.function}" if renamed else "its code, or a library's version, changed")
+        what = "its code, or a library's version, changed"
+        if previous.function != now.function:
+            what = f"function {previous.function} → {now.function}"
+        parts.append(what)
     names = previous.parameters.keys() | now.parameters.keys()
     if previous.function != now.function:  # each has parameters of its own
         names = previous.parameters.keys() & now.parameters.keys()
@@ -123,7 +131,8 @@ def difference(last: Receipt, now: Preimage) -> str:
     if len(changed) == 1:
         parts.append(f"input {changed[0]} changed")
     elif changed:
-        named = ", ".join(changed[:_MOST_NAMED_INPUTS])
-        suffix = ", ..." if len(changed) > _MOST_NAMED_INPUTS else ""
-        parts.append(f"{len(changed)} of {len(inputs)} inputs changed: {named}{suffix}")
+        named = changed[:_MOST_NAMED_INPUTS]
+        if len(changed) > len(named):
+            named.append("...")
+        parts.append(f"{len(changed)} of {len(inputs)} inputs changed: {', '.join(named)}")
     return "; ".join(parts)
