@@ -48,21 +48,22 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: boo
     """
     with Ledger(work, writes=True) as ledger:
         nights = _Nights(work, ledger)
+        # 1. artifacts that no run needs any more
         unused_runs = nights.beyond(keep.nights) | nights.runs_beyond(keep.runs)  # runs whose artifacts are removed
         artifacts, excess_bytes = _unneeded_artifacts(work, keep, nights, unused_runs)
-        artifact_files = [path for paths in artifacts.values() for path in paths]
+        files: list[Path] = []
+        for paths in artifacts.values():
+            files.extend(paths)
+        artifact_folders = {path.parent for path in files}
+        # 2. damaged files
+        files += _old_quarantined(work, 0 if requested else _QUARANTINED)
+        # 3. what was published: whole folders of runs, or single files in them
+        folders = nights.beyond(keep.clouds) & nights.beyond(keep.reports)
+        files += _unneeded_products(work, keep, nights, unused_runs, folders)
+        in_folders: list[Path] = []
+        for run in folders:
+            in_folders.extend(work.run(run).folder.glob("*"))
 
-        quarantined = sorted(filter(Path.is_file, work.quarantine.glob("*")), key=lambda path: -path.stat().st_ctime_ns)
-
-        clouds, reports = nights.beyond(keep.clouds), nights.beyond(keep.reports)
-        logs = reports if keep.keeps_artifacts else reports & unused_runs  # a log lists the artifacts that a run used
-        folders = clouds & reports
-        published = [path for run in clouds - folders for path in work.run(run).clouds()]
-        published += [work.run(run).report for run in reports - folders]
-        published += [work.run(run).log for run in logs - folders]
-
-        files = [*artifact_files, *quarantined[0 if requested else _QUARANTINED :], *filter(Path.is_file, published)]
-        in_folders = [path for run in folders for path in work.run(run).folder.glob("*")]
         size = _freed_bytes([*files, *in_folders])
         cleaning = Cleaning(len(files) + len(in_folders), size, tuple(sorted(folders)), excess_bytes)
         if dry_run:
@@ -70,7 +71,7 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: boo
 
         for path in files:
             path.unlink(missing_ok=True)
-        for folder in {path.parent for path in artifact_files}:
+        for folder in artifact_folders:
             with contextlib.suppress(OSError):  # not empty
                 folder.rmdir()
                 folder.parent.rmdir()
@@ -83,14 +84,50 @@ def clean(work: WorkFolder, keep: Keep, *, dry_run: bool = False, requested: boo
     return cleaning
 
 
+def _old_quarantined(work: WorkFolder, newest: int) -> list[Path]:
+    """The quarantined files but the newest ones."""
+    files = [path for path in work.quarantine.glob("*") if path.is_file()]
+    return sorted(files, key=lambda path: -path.stat().st_ctime_ns)[newest:]
+
+
+def _unneeded_products(work: WorkFolder, keep: Keep, nights: _Nights, unused_runs: set[str], folders: set[str]) -> list[Path]:
+    """The published files to remove of runs whose folders stay.
+
+    Parameters
+    ----------
+    work, keep, nights : WorkFolder, Keep, _Nights
+        The folder, its limits and its runs.
+    unused_runs, folders : set of str
+        Runs that need no artifacts; runs whose whole folders are removed.
+    """
+    clouds = nights.beyond(keep.clouds)
+    reports = nights.beyond(keep.reports)
+    # a log lists the artifacts that a run used: while they are kept, it is needed to tell them from surplus ones
+    logs = reports
+    if not keep.keeps_artifacts:
+        logs = reports & unused_runs
+    files: list[Path] = []
+    for run in clouds - folders:
+        files.extend(work.run(run).clouds())
+    for run in reports - folders:
+        files.append(work.run(run).report)
+    for run in logs - folders:
+        files.append(work.run(run).log)
+    return [path for path in files if path.is_file()]
+
+
 class _Nights:
     """Published runs by night."""
 
     def __init__(self, work: WorkFolder, ledger: Ledger) -> None:
         self.runs = work.run_ids()
         """Oldest first."""
-        self.shown = {run for link in work.links() if (run := work.link_target(link))} | set(self.runs[-1:])
+        self.shown = set(self.runs[-1:])
         """Runs that no limit removes: the targets of links and the newest run."""
+        for link in work.links():
+            target = work.link_target(link)
+            if target:
+                self.shown.add(target)
         dates = {run.run: run.date for run in ledger.runs()}
         self._dates = {run: dates.get(run, run) for run in self.runs}  # a run that the ledger lacks is a night of its own
 
@@ -117,17 +154,26 @@ def _unneeded_artifacts(
     files: dict[str, list[Path]] = defaultdict(list)
     for path in work.cache_files():
         files[path.name.partition(".")[0]].append(path)
-    used_keys = {run: _used_keys(work, run) for run in nights.runs if run not in unused_runs}
+    # 1. what no run uses, nor the reference, nor the changes of the next night
+    used_keys: dict[str, set[str]] = {}  # by run
+    for run in nights.runs:
+        if run not in unused_runs:
+            used_keys[run] = _used_keys(work, run)
     for run, key in _previous_changes(work, nights, set(used_keys)).items():
         used_keys[run] = {key}
-    newest_run = {key: run for run in used_keys for key in used_keys[run]}
+    newest_run: dict[str, str] = {}  # that uses a key
+    for run, keys in used_keys.items():
+        newest_run |= dict.fromkeys(keys, run)
     pinned = _pinned_keys(work)
     surplus = files.keys() - newest_run.keys() - pinned
+    # 2. above the limit of size, what only old runs use: the oldest first, of one run the largest
     excess_bytes = 0
     if keep.bytes is not None:
         sizes = {key: _freed_bytes(files[key]) for key in files.keys() & newest_run.keys() - pinned}
         excess_bytes = sum(sizes.values()) - keep.bytes
-        needed = {key for run in nights.shown for key in used_keys.get(run, ())}
+        needed: set[str] = set()  # keys that no limit of size removes
+        for run in nights.shown:
+            needed |= used_keys.get(run, set())
         needed.update(_previous_changes(work, nights, nights.shown).values())
         for key in sorted(sizes.keys() - needed, key=lambda key: (newest_run[key], -sizes[key])):
             if excess_bytes <= 0:
@@ -135,7 +181,9 @@ def _unneeded_artifacts(
             excess_bytes -= sizes[key]
             surplus.add(key)
     # receipts first: an artifact without a receipt is never used
-    ordered = {key: sorted(files[key], key=lambda path: path != work.receipt_of(path)) for key in sorted(surplus)}
+    ordered: dict[str, list[Path]] = {}
+    for key in sorted(surplus):
+        ordered[key] = sorted(files[key], key=lambda path: path != work.receipt_of(path))
     return ordered, max(excess_bytes, 0)
 
 
@@ -161,7 +209,9 @@ def _pinned_keys(work: WorkFolder) -> set[str]:
         reference = read_reference(work)
     except BadReference:
         return set()
-    return {pinned.key for pinned in reference.artifacts.values()} if reference else set()
+    if reference is None:
+        return set()
+    return {pinned.key for pinned in reference.artifacts.values()}
 
 
 def _used_keys(work: WorkFolder, run: str) -> set[str]:

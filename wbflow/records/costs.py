@@ -14,8 +14,9 @@ class TaskCosts:
     stages_mb: dict[str, float] = field(default_factory=dict)
     """Largest peak memory of a stage's tasks, in MB (2^20 bytes)."""
     tasks: dict[str, float] = field(default_factory=dict)
+    """Wall time of a task, when it last ran, in seconds."""
     tasks_mb: dict[str, float] = field(default_factory=dict)
-    """Wall time (seconds) and peak memory (MB) of a task, when it last ran."""
+    """Peak memory of a task, when it last ran, in MB."""
     stages_bytes: dict[str, float] = field(default_factory=dict)
     """Mean size of a stage's artifacts on disk, in bytes."""
 

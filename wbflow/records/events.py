@@ -62,8 +62,12 @@ class WarningEvent:
     """Was it damage on disk that has been repaired?"""
 
     def __str__(self) -> str:
-        head = f"{self.task}: {self.what}" if self.task else self.what
-        return f"{head}; {self.remedy}" if self.remedy else head
+        text = self.what
+        if self.task:
+            text = f"{self.task}: {text}"
+        if self.remedy:
+            text += f"; {self.remedy}"
+        return text
 
 
 @dataclass(frozen=True)
@@ -107,14 +111,24 @@ _KINDS: dict[str, type[Event]] = {"task": TaskEvent, "warning": WarningEvent, "o
 
 def event_to_json(event: Event) -> dict[str, Any]:
     """Return an event as a line of the log, before JSON encoding."""
-    task = event.task
-    task_fields = {"task": str(task), "stage": task.stage, "subject": task.subject} if task else {}
-    return {"event": next(name for name, kind in _KINDS.items() if isinstance(event, kind)), **vars(event), **task_fields}
+    line: dict[str, Any] = {}
+    for name, kind in _KINDS.items():
+        if isinstance(event, kind):
+            line["event"] = name
+    line |= vars(event)
+    if event.task:
+        # the name for people, its parts for programs
+        line |= {"task": str(event.task), "stage": event.task.stage, "subject": event.task.subject}
+    return line
 
 
 def event_from_json(line: Mapping[str, Any]) -> Event | None:
     """Return the event of a log line; None for a kind that only later versions know.  Raises KeyError, TypeError."""
-    if (kind := _KINDS.get(line["event"])) is None:
+    kind = _KINDS.get(line["event"])
+    if kind is None:
         return None
     values = {field.name: line[field.name] for field in fields(kind) if field.name in line}
-    return kind(**values | {"task": Task(line["stage"], tuple(line["subject"])) if "stage" in line else None})
+    values["task"] = None
+    if "stage" in line:
+        values["task"] = Task(line["stage"], tuple(line["subject"]))
+    return kind(**values)

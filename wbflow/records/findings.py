@@ -43,7 +43,9 @@ class Finding(JsonDataclass):
     @property
     def about(self) -> str:
         """The subject in words; for more than two cameras only their number, since the text names them."""
-        return "--".join(self.subject) if len(self.subject) <= 2 else f"{len(self.subject)} cameras"
+        if len(self.subject) > 2:
+            return f"{len(self.subject)} cameras"
+        return "--".join(self.subject)
 
     def __str__(self) -> str:
         beginning = self.text.partition(":")[0]

@@ -88,13 +88,17 @@ class Run:
         task: such as "geometry gate--roof", "frames gate" or "poses".  Raises UsageError where the run had no such task, or it
         made nothing; WbflowError if the cache does not hold it any more.
         """
-        task = task_named(task) if isinstance(task, str) else task
+        if isinstance(task, str):
+            task = task_named(task)
         event = self.task_events.get(task)
         if event is None:
-            known = ", ".join(dict.fromkeys(str(t) for t in self.task_events if t.stage == task.stage)) or "none of this stage"
+            of_stage = [str(other) for other in self.task_events if other.stage == task.stage]
+            known = ", ".join(of_stage) or "none of this stage"
             raise UsageError(f"run {self.id} had no task '{task}'", remedy=f"it had {known}")
         if not event.usable:
-            what = f"'{task}' made nothing: {event.outcome}{f': {event.reason}' if event.reason else ''}"
+            what = f"'{task}' made nothing: {event.outcome}"
+            if event.reason:
+                what += f": {event.reason}"
             raise UsageError(what, remedy="wbflow report SITE.yaml  shows why")
         return self.load(task)
 
@@ -114,34 +118,48 @@ class Run:
         Raises WbflowError if the cache no longer holds it, DamagedArtifact if the disk has lost a part of it.
         """
         receipt = self.receipt(task)
-        return self.cache.load(task, receipt) if receipt else None
+        if receipt is None:
+            return None
+        return self.cache.load(task, receipt)
 
     def of_cameras(self, *stages: str) -> Mapping[str, Any]:
         """The result of the first of these stages that made one, for each camera, or for each view of a camera that has several;
         each is read when it is accessed."""
         views: dict[str, list[str]] = {camera.id: [] for camera in self.record.cameras}
-        for view in (task.subject[0] for task in self.task_events if task.stage == FRAMES):
-            views.setdefault(camera_of(view), []).append(view)
-        names = [view for camera, ids in views.items() for view in sorted(ids, key=lambda name: (len(name), name)) or [camera]]
-        return self._on_demand({name: (name,) for name in names}, stages)
+        for task in self.task_events:
+            if task.stage == FRAMES:
+                view = task.subject[0]
+                views.setdefault(camera_of(view), []).append(view)
+        subjects: dict[str, Subject] = {}
+        for camera, ids in views.items():
+            # by length first: view 10 comes after view 9
+            for view in sorted(ids, key=lambda name: (len(name), name)) or [camera]:
+                subjects[view] = (view,)
+        return self._on_demand(subjects, stages)
 
     def of_pairs(self, *stages: str) -> Mapping[str, Any]:
         """The result of the first of these stages that made one, by pair: "left--right"."""
         return self._on_demand({pair.name: (pair.left, pair.right) for pair in self.record.pairs}, stages)
 
     def _on_demand(self, subjects: Mapping[str, Subject], stages: tuple[str, ...]) -> Mapping[str, Any]:
+        """The results of the first of the stages that made one, by name of the subject; subjects without one are left out."""
         made = set(self.tasks)
-        tasks = {name: [task for stage in stages if (task := Task(stage, subject)) in made] for name, subject in subjects.items()}
-        return OnDemand({name: candidates[0] for name, candidates in tasks.items() if candidates}, self.load)
+        tasks: dict[str, Task] = {}
+        for name, subject in subjects.items():
+            for stage in stages:
+                task = Task(stage, subject)
+                if task in made:
+                    tasks[name] = task
+                    break
+        return OnDemand(tasks, self.load)
 
     def cloud_table(self) -> Any:
         """The main cloud as it was published.  Raises WbflowError if there is none, or it cannot be read."""
         cloud = self.record.cloud
-        path = self.folder / cloud.path if cloud else None
-        if path is None or not path.is_file():
+        if cloud is None or not (self.folder / cloud.path).is_file():
             raise WbflowError(f"run {self.id} made no cloud: {self.record.reason or 'the run was not meant to'}")
         try:
-            return load(RESTORE_CLOUD)(read_ply(path))
+            return load(RESTORE_CLOUD)(read_ply(self.folder / cloud.path))
         except ValueError as error:
             raise WbflowError(str(error), remedy="run the night again") from None
 
@@ -149,7 +167,10 @@ class Run:
 def task_named(name: str) -> Task:
     """A task from its name: "geometry gate--roof", "frames gate", "poses".  Raises UsageError."""
     stage, _, subject = name.partition(" ")
-    if stage not in {row.name for row in STAGES}:
-        remedy = f"stages are {', '.join(row.name for row in STAGES)}; a task is a stage and its subject: 'geometry gate--roof'"
+    stages = [row.name for row in STAGES]
+    if stage not in stages:
+        remedy = f"stages are {', '.join(stages)}; a task is a stage and its subject: 'geometry gate--roof'"
         raise UsageError(f"{name!r}: there is no stage {stage!r}", remedy=remedy)
-    return Task(stage, tuple(subject.split("--")) if subject else ())
+    if not subject:
+        return Task(stage)
+    return Task(stage, tuple(subject.split("--")))

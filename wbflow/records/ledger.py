@@ -92,7 +92,8 @@ class Ledger:
 
     def record_run(self, record: RunRecord) -> None:
         """Index a run."""
-        seconds, points = record.seconds, record.cloud.points if record.cloud else None
+        seconds = record.seconds
+        points = record.cloud.points if record.cloud else None
         times = (record.started, record.finished, round(seconds.wall, 2), round(seconds.cpu, 2))
         summary = json.dumps(summary_of(record).to_json())
         row = (record.run, record.date, *times, *astuple(record.tasks), points, int(record.exit_code), summary)

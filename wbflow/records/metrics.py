@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from .changes import open_changes
+from .findings import Verdict
 from .record import RunRecord, moment
 
 Rows = list[tuple[dict[str, str], float]]
@@ -17,51 +18,63 @@ def metrics(record: RunRecord) -> str:
     lines = []
     for name, meaning, rows in _gauges(record):
         lines += [f"# HELP wbflow_{name} {meaning}", f"# TYPE wbflow_{name} gauge"]
-        lines += [f"wbflow_{name}{{{_labels({'site': record.site, **labels})}}} {value:.12g}" for labels, value in rows]
+        for labels, value in rows:
+            text = _labels({"site": record.site, **labels})
+            lines.append(f"wbflow_{name}{{{text}}} {value:.12g}")
     return "\n".join(lines) + "\n"
 
 
 def _gauges(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
     """Yield name, meaning and rows of each gauge."""
-    level = record.verdict.level if record.verdict else ""
-    yield "verdict", "1 for the level of the night.", [({"level": n}, int(n == level)) for n in ("good", "degraded", "failed")]
-    findings = Counter(finding.kind for finding in record.verdict.findings) if record.verdict else {}
-    yield "findings", "Number of findings, by code.", [({"kind": kind}, count) for kind, count in findings.items()]
+    verdict = record.verdict or Verdict("good")
+    levels = dict.fromkeys(("good", "degraded", "failed"), 0)
+    if record.verdict:
+        levels[verdict.level] = 1
+    yield "verdict", "1 for the level of the night.", _by("level", levels)
+    yield "findings", "Number of findings, by code.", _by("kind", Counter(finding.kind for finding in verdict.findings))
     yield "exit_code", "How the run ended.", [({}, int(record.exit_code))]
     yield "finished_timestamp_seconds", "When the run ended.", [({}, moment(record.finished).timestamp())]
     yield "night_timestamp_seconds", "The night of the captures.", [({}, moment(f"{record.date}T00:00:00Z").timestamp())]
     yield "points", "Points of the main cloud.", [({}, record.cloud.points if record.cloud else 0)]
     usual = record.usual.figures if record.usual else {}
-    yield "usual", "Usual values: medians of the last good nights.", [({"of": name}, value) for name, value in usual.items()]
-    well: Rows = [({"camera": camera.id}, int(camera.ok and camera.down is None)) for camera in record.cameras]
-    yield "camera_ok", "1 for a camera that is in use and well.", well
-    nights: Rows = [({"camera": camera.id}, camera.down.nights if camera.down else 0) for camera in record.cameras]
-    yield "camera_nights_down", "Nights for which the camera has been down.", nights
-    pairs = Counter(pair.outcome for pair in record.pairs)
-    yield "camera_pairs", "Pairs of cameras by outcome.", [({"outcome": outcome}, count) for outcome, count in pairs.items()]
+    yield "usual", "Usual values: medians of the last good nights.", _by("of", usual)
+    well = {camera.id: int(camera.ok and camera.down is None) for camera in record.cameras}
+    yield "camera_ok", "1 for a camera that is in use and well.", _by("camera", well)
+    nights = {camera.id: camera.down.nights if camera.down else 0 for camera in record.cameras}
+    yield "camera_nights_down", "Nights for which the camera has been down.", _by("camera", nights)
+    yield "camera_pairs", "Pairs of cameras by outcome.", _by("outcome", Counter(pair.outcome for pair in record.pairs))
     yield from _gauges_of_volumes(record)
     yield from _gauges_of_changes(record)
-    tasks = record.tasks.to_json()
-    yield "tasks", "Tasks by outcome.", [({"outcome": outcome}, count) for outcome, count in tasks.items()]
+    yield "tasks", "Tasks by outcome.", _by("outcome", record.tasks.to_json())
     seconds = record.seconds
     yield "wall_seconds", "How long the run took.", [({}, round(seconds.wall, 2))]
     yield "cpu_seconds", "CPU time that it took.", [({}, round(seconds.cpu, 2))]
-    yield "stage_cpu_seconds", "CPU time by stage.", [({"stage": n}, round(s.cpu, 2)) for n, s in seconds.stages.items()]
+    cpu_of_stages = {name: round(stage.cpu, 2) for name, stage in seconds.stages.items()}
+    yield "stage_cpu_seconds", "CPU time by stage.", _by("stage", cpu_of_stages)
     yield "peak_rss_megabytes", "Memory of the largest worker.", [({}, record.peak_rss_mb)]
+
+
+def _by(label: str, values: Mapping[str, float]) -> Rows:
+    """A row for each value, with its name as this label."""
+    return [({label: name}, value) for name, value in values.items()]
 
 
 def _gauges_of_volumes(record: RunRecord) -> Iterator[tuple[str, str, Rows]]:
     """Yield volumes, their standard deviations, and areas; without rows for a site without a metric scale."""
-    volumes, sigmas, bounds, areas = Rows(), Rows(), Rows(), Rows()
-    results = record.results.values() if record.poses and record.poses.metric else ()
-    for zone, part in ((zone, part) for result in results for zone, part in result.volumes.items()):
-        labels = {"zone": zone} if zone else {}
-        volumes += [({**labels, "change": "gained"}, part.gained), ({**labels, "change": "lost"}, part.lost)]
-        sigmas += [({**labels, "change": "gained"}, part.gained_sigma), ({**labels, "change": "lost"}, part.lost_sigma)]
-        for side in ("gained", "lost"):
-            for bound in ("least", "most"):
-                bounds.append(({**labels, "change": side, "bound": bound}, getattr(part, f"{side}_{bound}")))
-        areas += [({**labels, "seen": "yes"}, part.area), ({**labels, "seen": "no"}, part.unseen)]
+    volumes: Rows = []
+    sigmas: Rows = []
+    bounds: Rows = []
+    areas: Rows = []
+    if record.poses and record.poses.metric:
+        for result in record.results.values():
+            for zone, part in result.volumes.items():
+                labels = {"zone": zone} if zone else {}
+                volumes += [({**labels, "change": "gained"}, part.gained), ({**labels, "change": "lost"}, part.lost)]
+                sigmas += [({**labels, "change": "gained"}, part.gained_sigma), ({**labels, "change": "lost"}, part.lost_sigma)]
+                for side in ("gained", "lost"):
+                    for bound in ("least", "most"):
+                        bounds.append(({**labels, "change": side, "bound": bound}, getattr(part, f"{side}_{bound}")))
+                areas += [({**labels, "seen": "yes"}, part.area), ({**labels, "seen": "no"}, part.unseen)]
     yield "volume_cubic_metres", "Volumes gained and lost since the reference, by zone (none: the whole site).", volumes
     yield "volume_sigma_cubic_metres", "Standard deviation of the volumes.", sigmas
     yield "volume_bound_cubic_metres", "Intervals that hold the volumes.", bounds

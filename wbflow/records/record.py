@@ -93,7 +93,8 @@ class CameraRecord(FlatJsonDataclass):
         return self.outcome == "ok"
 
     def __repr__(self) -> str:
-        return f"CameraRecord({self.id!r}, {self.outcome}{f': {self.reason}' if self.reason else ''})"
+        reason = f": {self.reason}" if self.reason else ""
+        return f"CameraRecord({self.id!r}, {self.outcome}{reason})"
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class PairRecord(FlatJsonDataclass):
         return self.outcome == "ok"
 
     def __repr__(self) -> str:
-        return f"PairRecord({self.name!r}, {self.outcome}{f': {self.reason}' if self.reason else ''})"
+        reason = f": {self.reason}" if self.reason else ""
+        return f"PairRecord({self.name!r}, {self.outcome}{reason})"
 
 
 NO_SCALE = "lengths are arbitrary"

@@ -29,6 +29,7 @@ from .events import Event, TaskEvent, event_from_json, event_to_json
 from .record import RunRecord
 
 _IDENTITY = "run"
+"""What the checksummed record says that it is."""
 _NIGHT_PATTERN = re.compile(r"\d{4}-\d{2}-\d{2}")
 
 
@@ -47,7 +48,8 @@ class RunFolder:
     @staticmethod
     def at(path: Path) -> RunFolder:
         """Return the run in a folder; `path` may also be its run.json.  Raises NoSuchRun if it is not the folder of a run."""
-        folder = RunFolder(RunPaths((path if path.is_dir() else path.parent).resolve()))
+        folder_path = path if path.is_dir() else path.parent
+        folder = RunFolder(RunPaths(folder_path.resolve()))
         if not RunFolder.is_run_folder(path):
             raise NoSuchRun(f"{path} is not the folder of a run: it holds no {folder.paths.record.name}")
         return folder
@@ -55,7 +57,9 @@ class RunFolder:
     @staticmethod
     def is_run_folder(path: Path) -> bool:
         """Is this the folder of a run, or the run.json in it?"""
-        return path == RunPaths(path.parent).record if path.is_file() else RunPaths(path).record.is_file()
+        if path.is_file():
+            return path == RunPaths(path.parent).record
+        return RunPaths(path).record.is_file()
 
     @staticmethod
     def of(work: WorkFolder, name: str | None = None) -> RunFolder:
@@ -126,8 +130,14 @@ class RunFolder:
 
         missing: include products that no longer exist.
         """
-        files = ((self.paths.folder / name, digest) for name, digest in self.record().files.items())
-        return [path for path, digest in files if (path.is_file() or missing) and sha256_of(path) != digest]
+        damaged = []
+        for name, digest in self.record().files.items():
+            path = self.paths.folder / name
+            if not path.is_file() and not missing:
+                continue
+            if sha256_of(path) != digest:
+                damaged.append(path)
+        return damaged
 
     def night(self) -> str:
         """Return the night (ISO 8601) that puts the run in order; "" if its record cannot be read.
@@ -140,8 +150,12 @@ class RunFolder:
         except NoSuchRun:
             return ""
         started = started_by(self.id)
-        day = started.date().isoformat() if started else record.date
-        return min(record.date, day) if record.dated else day
+        if started is None:
+            return record.date
+        day = started.date().isoformat()
+        if not record.dated:
+            return day
+        return min(record.date, day)
 
     def is_good(self) -> bool:
         """Is there a cloud, and a verdict that is good or degraded?  (Runs of earlier versions need only a cloud.)"""
@@ -183,13 +197,20 @@ class UnfinishedRun:
         only replaces files, and never writes into them.  Raises OSError.
         """
         path = self.paths.folder / name
-        copies = (self.work.run(run).folder / name for run in reversed(self.work.run_ids()))
-        newest_copy = next((copy for copy in copies if copy.is_file()), None)
+        newest_copy = self._newest_copy(name)
         if newest_copy is None or not _hard_link(path, newest_copy, data):
             write_atomic(path, data)
         with contextlib.suppress(OSError):  # some file systems have no permissions, and nothing depends on them
             path.chmod(0o444)
         self.files[name] = hashlib.sha256(data).hexdigest()
+
+    def _newest_copy(self, name: str) -> Path | None:
+        """The product with this name in the folder of the newest run that has one."""
+        for run in reversed(self.work.run_ids()):
+            copy = self.work.run(run).folder / name
+            if copy.is_file():
+                return copy
+        return None
 
     def publish(self, record: RunRecord, events: Iterable[Event], report: str, metrics: str = "") -> RunFolder:
         """Add record, log, report and metrics, rename the folder to its final name, and update the links.  Raises OSError.
@@ -205,6 +226,7 @@ class UnfinishedRun:
         write_atomic(self.paths.log, log_of(events))
         write_atomic(self.paths.record, dump_with_checksum(_IDENTITY, record.to_json(), in_lines=True))
         write_atomic(self.paths.metrics, metrics.encode(errors="backslashreplace"))
+        # complete: from the rename on it is a run, and only then do links show it
         final = self.work.run(self.name)
         self.paths.folder.rename(final.folder)
         sync_folder(self.work.runs)
@@ -364,8 +386,12 @@ def new_run(work: WorkFolder) -> tuple[str, datetime.datetime]:
     the clock was set back, takes the next free second.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-    newest = max((moment for name in work.run_ids() if (moment := started_by(name))), default=None)
-    free_second = now if newest is None else max(now, newest + datetime.timedelta(seconds=1))
+    free_second = now
+    for name in work.run_ids():
+        started = started_by(name)
+        if started:
+            free_second = max(free_second, started + datetime.timedelta(seconds=1))
+    # a folder without a record is no run, and has the name all the same
     while work.run(run_id(free_second)).folder.exists():
         free_second += datetime.timedelta(seconds=1)
     return run_id(free_second), now

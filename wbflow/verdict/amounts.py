@@ -9,7 +9,6 @@ from ..pipeline.summaries import SiteSummary
 from ..records.findings import Baseline, Finding, finding
 from ..records.record import RunRecord
 from ..site.models import Measure
-from ..task import camera_of
 from ..words import counted
 from .baseline import figures_of
 from .facts import Facts
@@ -35,8 +34,8 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is there as much as the site file expects, as the last good nights gave, or as the night itself planned?"""
     if facts.interrupted or not facts.product or not record.cloud or facts.disk_full:
         return
-    usual = record.usual or Baseline(0, {})
-    source = "the reference's" if usual.reference else "the usual"
+    baseline = record.usual or Baseline(0, {})
+    source = "the reference's" if baseline.reference else "the usual"
     figures = figures_of(record)
     figures[Measure.CAMERAS] = float(sum(camera.ok for camera in record.cameras))
     for name, value in figures.items():
@@ -44,10 +43,10 @@ def check_amounts(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         if value >= least:
             continue
         amount = _amount_text(name, value)
-        typical = usual.figures.get(name)
-        if facts.expected.limit(name) > 1:
+        typical = baseline.figures.get(name)
+        if facts.expected.limit(name) > 1:  # the site file expects a number, not a share of the usual one
             yield _fewer_finding(name, value, least, f"{amount}; at least {least:,.0f} are expected")
-        elif typical is not None:
+        elif typical is not None:  # of earlier nights, or of the reference
             text = f"{amount}, {100 * value / typical:.0f} % of {source} {typical:,.0f}"
             yield _fewer_finding(name, value, typical, text)
         else:
@@ -73,7 +72,7 @@ def _why_few(record: RunRecord) -> str:
     """Return what most unusable pairs have in common: cameras that are left out, else their most common reason."""
     unused = [pair for pair in record.pairs if not pair.ok]
     left_out = {camera.id for camera in record.cameras if not camera.ok}
-    with_left_out = [pair for pair in unused if left_out & {camera_of(pair.left), camera_of(pair.right)}]
+    with_left_out = [pair for pair in unused if left_out.intersection(pair.cameras)]
     if 2 * len(with_left_out) > len(unused):
         return f"include cameras that are left out ({listed(sorted(left_out))})"
     return most_common_reason(unused)

@@ -48,7 +48,11 @@ def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -
     good = [record for record in comparable if record.verdict and record.verdict.good and record.cloud]
     if good:
         return usual_of(good)
-    return next((record.usual for record in comparable if record.usual), None)
+    # all of them bad: their records contain what was usual before
+    for record in comparable:
+        if record.usual:
+            return record.usual
+    return None
 
 
 def usual_of(records: Sequence[RunRecord]) -> Baseline:
@@ -69,7 +73,9 @@ def usual_of(records: Sequence[RunRecord]) -> Baseline:
 
 def figures_of(record: RunRecord) -> dict[str, float]:
     """The figures of a whole night that are compared with the usual ones, by name."""
-    figures: dict[str, float] = {Measure.POINTS: float(record.cloud.points) if record.cloud else 0.0}
+    figures: dict[str, float] = {Measure.POINTS: 0.0}
+    if record.cloud:
+        figures[Measure.POINTS] = float(record.cloud.points)
     if record.pairs:
         figures[Measure.PAIRS] = float(sum(pair.ok for pair in record.pairs))
     if record.poses is None or not record.poses.metric:  # the unit of lengths differs between nights
@@ -118,8 +124,12 @@ def with_appearance(record: RunRecord, expected: Expected) -> RunRecord:
     """
     # 1. each camera's figures relative to its usual ones
     usual = record.usual.cameras if record.usual else {}
-    tonight = {name: figures for name, figures in appearance_of(record).items() if usual.get(name)}
-    shares = {name: _shares(figures, usual[name]) for name, figures in tonight.items()}
+    tonight: dict[str, dict[str, float]] = {}
+    shares: dict[str, dict[str, float]] = {}
+    for name, figures in appearance_of(record).items():
+        if usual.get(name):
+            tonight[name] = figures
+            shares[name] = _shares(figures, usual[name])
     # 2. what they have in common; a night on which most look better than usual sets no higher standard
     common = {figure: min(share, 1.0) for figure, share in _medians(shares.values()).items()}
     # 3. each camera compared with the others

@@ -28,7 +28,9 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
     # 2. blame the suspect that explains most, again and again, until that is undecided
     blamed: dict[str, set[str]] = {}
     while True:
-        counts = Counter(name for pair in remaining for name in pair.cameras if name in pairs_of)
+        counts: Counter[str] = Counter()
+        for pair in remaining:
+            counts.update(name for name in pair.cameras if name in pairs_of)
         ranking = counts.most_common(2)
         if not ranking:
             break
@@ -41,7 +43,10 @@ def blame(record: RunRecord) -> Mapping[str, tuple[str, ...]]:
     # 3. excuse the suspects all of whose pairs are explained
     explained = set().union(*blamed.values())
     excused = sorted(name for name, pairs in pairs_of.items() if name not in blamed and pairs <= explained)
-    return {name: tuple(other for other in excused if pairs_of[other] & pairs) for name, pairs in blamed.items()}
+    excused_by: dict[str, tuple[str, ...]] = {}
+    for name, pairs in blamed.items():
+        excused_by[name] = tuple(other for other in excused if pairs_of[other] & pairs)
+    return excused_by
 
 
 def _contradicts_poses(pair: PairRecord) -> bool:

@@ -84,9 +84,10 @@ def _cause_text(check: CalibrationCheck) -> str:
     amount = check.amount or (0.0,)
     size = math.hypot(*amount)
     scale = math.expm1(amount[0])  # scales are given as logarithms
+    longer_or_shorter = "longer" if scale > 0 else "shorter"
     return _CAUSES[check.cause].format(
         cameras=" and ".join(check.cameras) or _ALL_CAMERAS.get(check.cause, ""),
-        longer=f"{100 * abs(scale):.1f} % {'longer' if scale > 0 else 'shorter'}",
+        longer=f"{100 * abs(scale):.1f} % {longer_or_shorter}",
         first=amount[0],
         factor=1 + amount[0],
         last=amount[-1],

@@ -24,7 +24,9 @@ _OF_ITS_TASK = {Cause.TOO_SLOW, Cause.WORKER_LOST, Cause.OUT_OF_MEMORY}
 def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     """Is each camera in use, and as it should be?  At most one finding each, with the number of nights that it has lasted."""
     blamed = blame(record)
-    excused = {name for excused_names in blamed.values() for name in excused_names}
+    excused: set[str] = set()
+    for names in blamed.values():
+        excused.update(names)
     for camera in record.cameras:
         entry = _camera_finding(camera, record)
         down = camera.down
@@ -50,14 +52,7 @@ def with_down(camera: CameraRecord, record: RunRecord, earlier: Sequence[RunReco
 
     earlier: the nights before, newest first.
     """
-    last_date = ""
-    last_down = None
-    for night in earlier:
-        known = next((entry for entry in night.cameras if entry.id == camera.id), None)
-        if known:
-            last_date = night.date
-            last_down = known.down
-            break
+    last_date, last_down = _last_down(camera.id, earlier)
     if _camera_finding(camera, record):
         if last_down is None:
             return replace(camera, down=Down(record.date))
@@ -69,6 +64,15 @@ def with_down(camera: CameraRecord, record: RunRecord, earlier: Sequence[RunReco
         note = f"back after {counted(last_down.nights, 'night')}: it was down since {last_down.since}"
         return replace(camera, notes=(*camera.notes, note))
     return camera
+
+
+def _last_down(camera: str, earlier: Sequence[RunRecord]) -> tuple[str, Down | None]:
+    """The newest night that knows a camera, and since when it was down then; "" and None without such a night."""
+    for night in earlier:
+        for entry in night.cameras:
+            if entry.id == camera:
+                return night.date, entry.down
+    return "", None
 
 
 def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
@@ -87,7 +91,8 @@ def _camera_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
 
 def _fault_finding(camera: CameraRecord) -> Finding:
     """Return the finding about a camera that has a fault or gave no result; the fault explains the missing result."""
-    lost = FINDINGS["camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"]
+    code = "camera-unsolved" if camera.code == Cause.UNSOLVED else "camera-lost"
+    lost = FINDINGS[code]
     remedy_of_lost = lost.remedy
     if camera.code == Cause.NO_CAPTURE:
         remedy_of_lost = remedy_of_lost.replace("check the camera", "check that it delivers")
@@ -140,7 +145,9 @@ def _unconfirming(camera: str, tried: Sequence[PairRecord], record: RunRecord) -
         return []
     # a partner with two more probable pairs has a pose that does not depend on this camera
     probable = [pair for pair in record.pairs if pair.ok and (pair.figures.probability or 0.0) > 0.5]
-    counts = Counter(name for pair in probable for name in pair.cameras if name != camera)
+    counts: Counter[str] = Counter()
+    for pair in probable:
+        counts.update(name for name in pair.cameras if name != camera)
     for pair in usable:
         if pair in probable and any(counts[name] > 2 for name in pair.cameras):
             return []

@@ -39,4 +39,5 @@ def _disk_finding(record: RunRecord, facts: Facts) -> Finding:
     reason += f" {format_size(facts.night_bytes)}; {counted(count, 'task')} could not write"
     figures = {"tasks": count, "free_bytes": facts.free_bytes}
     expected = {"free_bytes": facts.night_bytes}
-    return finding("disk-short" if record.cloud else "disk-full", (), figures, expected, reason=reason)
+    code = "disk-short" if record.cloud else "disk-full"
+    return finding(code, (), figures, expected, reason=reason)

@@ -155,4 +155,6 @@ def _off_px(camera: CameraRecord, record: RunRecord) -> float:
     for pair in record.pairs_of(camera.id):
         if pair.ok and (pair.figures.probability or 0.0) > 0.5:
             distances.append(pair.figures.epipolar_px or 0.0)
-    return median(distances) if distances else 0.0
+    if not distances:
+        return 0.0
+    return median(distances)

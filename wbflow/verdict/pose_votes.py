@@ -34,6 +34,7 @@ def is_refuted(issue: PoseIssue, record: RunRecord) -> bool:
     votes = [_agrees_with_poses(pair) for pair in among_stated(record.pairs_of(issue.camera), record)]
     agreeing = votes.count(True)
     contradicting = votes.count(False)
+    # of as many on both sides, two that agree are more than chance: look-alikes agree with poses only by accident
     return agreeing > contradicting or agreeing == contradicting >= 2
 
 
@@ -46,4 +47,6 @@ def _agrees_with_poses(pair: PairRecord) -> bool | None:
         return None
     if figures.poses_px <= LINES_PX:
         return True
-    return False if figures.probability >= LEAST_PROBABILITY else None
+    if figures.probability >= LEAST_PROBABILITY:
+        return False
+    return None

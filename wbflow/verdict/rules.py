@@ -70,6 +70,7 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
             failed.append((task, state))
         if state.code == Cause.STOPPED:
             stopped.append(state)
+    # a run of single stages (--until) is judged by the last of them
     product = night.takes_part(FUSE)
     missing = None
     if night.until and not product:
@@ -77,14 +78,18 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
         last_state = ended.states.get(last)
         if last_state and not last_state.usable:
             missing = (night.until, ended.root_cause(last) or "")
-    is_full = any(state.code == Cause.DISK_FULL for _, state in failed)
+    night_size = 0
+    free_size = 0
+    if any(state.code == Cause.DISK_FULL for _, state in failed):
+        night_size = night_bytes(night)
+        free_size = free_bytes(night.cache.work.root)
     return Facts(
         tuple(failed),
         product,
         missing,
         interrupted,
-        night_bytes=night_bytes(night) if is_full else 0,
-        free_bytes=free_bytes(night.cache.work.root) if is_full else 0,
+        night_bytes=night_size,
+        free_bytes=free_size,
         stopped=tuple(stopped),
         calibration_change=night.calibration_change,
         expected=night.site.settings.expect,

@@ -22,7 +22,6 @@ from ..pipeline.summaries import CameraFigures, ChangesSummary, PairFigures, Pos
 from ..records.changes import with_nights
 from ..records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts, stamp
 from ..runner.state import Cause, summary_of
-from ..site.models import Site
 from ..site.stale_cameras import night_by_pictures, stale_by_image
 from ..task import Subject, Task, camera_of
 from .ended import EndedNight
@@ -61,14 +60,24 @@ def run_record(
     cameras = [_joined_views(records) for records in views.values()]
     # 2. the night: stated, or the one that the pictures say that they are of
     dated = site.captures.dated
-    night = str(ended.night.date) if dated else night_by_pictures(camera.figures for camera in cameras)
     date = str(ended.night.date)
-    if night and not ended.night.date_stated:
-        date = night
+    night = date
+    if not dated:
+        night = night_by_pictures(camera.figures for camera in cameras)
+        if night and not ended.night.date_stated:
+            date = night
     # 3. the clouds, or why there is none
     clouds = _clouds(ended)
+    reason = None
+    code = None
     fuse = ended.states.get(Task(FUSE))
-    failed_fuse = fuse if fuse and not fuse.usable else None
+    if fuse and not fuse.usable:
+        reason = ended.root_cause(Task(FUSE))
+        code = fuse.code
+    # 4. the poses
+    poses = None
+    if ended.is_usable(POSES):
+        poses = _by_camera(site_wide.poses, {view.id: view.camera for view in site.views})
     return RunRecord(
         run=run,
         site=site.name,
@@ -84,9 +93,9 @@ def run_record(
         pairs=tuple(_pair_record(ended, pair, site_wide) for pair in _pairs(ended)),
         cloud=clouds.get(()),
         other_clouds=tuple(cloud for component, cloud in clouds.items() if component),
-        poses=_by_camera(site_wide.poses, _camera_names(site)) if ended.is_usable(POSES) else None,
-        reason=ended.root_cause(Task(FUSE)) if failed_fuse else None,
-        code=failed_fuse.code if failed_fuse else None,
+        poses=poses,
+        reason=reason,
+        code=code,
         versions=installed_versions(),
         reference=ended.night.reference.run if ended.night.reference else None,
         dated=dated,
@@ -188,9 +197,13 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
     check = site_wide.poses.pair_checks.get("--".join(pair))
     if check:
         figures |= {"poses_px": check.adjusted_px, "known": check.known}
+    matched = None
     geometry = ended.states.get(Task(GEOMETRY, pair))
-    matched = geometry.usable if geometry else None
-    dense = pair in site_wide.dense if site_wide.dense else None
+    if geometry:
+        matched = geometry.usable
+    dense = None
+    if site_wide.dense:
+        dense = pair in site_wide.dense
     return PairRecord(*pair, **outcome, matched=matched, dense=dense, figures=PairFigures(**figures))
 
 
@@ -289,17 +302,16 @@ def _joined_figure(values: Sequence[Any], is_summed: bool) -> Any:
     if is_summed:
         return sum(known)
     mean = sum(known) / len(known)
-    is_count = all(isinstance(value, int) for value in known)
-    return round(mean) if is_count else mean
-
-
-def _camera_names(site: Site) -> dict[str, str]:
-    """The camera's id by the id of each of its views."""
-    return {view.id: view.camera for view in site.views}
+    if all(isinstance(value, int) for value in known):  # a count
+        return round(mean)
+    return mean
 
 
 def _by_camera(poses: PosesSummary, camera_names: Mapping[str, str]) -> PosesSummary:
-    """Return the summary with camera ids instead of the ids of views; a camera keeps the first issue of each kind."""
+    """Return the summary with camera ids instead of the ids of views; a camera keeps the first issue of each kind.
+
+    camera_names: the camera's id by the id of each of its views.
+    """
     issues: dict[tuple[str, str], PoseIssue] = {}
     # backwards, so that the first issue of a camera wins, but stands where its last one stood
     for issue in reversed(poses.issues):
