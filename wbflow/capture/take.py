@@ -55,10 +55,12 @@ class Delivery:
     def __str__(self) -> str:
         text = f"{len(self.files)} of {counted(self.wanted, 'picture')}"
         if self.files:
-            text += f"; times by {'the camera' if self.own_clock else 'this machine'}"
+            clock = "the camera" if self.own_clock else "this machine"
+            text += f"; times by {clock}"
         if self.files and self.clock_error_s:
             off = datetime.timedelta(seconds=round(abs(self.clock_error_s)))
-            text += f", its clock is {off} {'ahead' if self.clock_error_s > 0 else 'behind'}"
+            direction = "ahead" if self.clock_error_s > 0 else "behind"
+            text += f", its clock is {off} {direction}"
         if self.fault:
             text += f": {self.fault}"
         return text
@@ -115,7 +117,9 @@ def trial(site: Site) -> dict[str, str]:
         url = str(entry.url)
         if url.startswith("file:"):
             folder = folder_of(url)
-            return "" if folder.is_dir() else f"there is no folder {printable(folder)}"
+            if folder.is_dir():
+                return ""
+            return f"there is no folder {printable(folder)}"
         reader = Reader()
         call = functools.partial(next, shots(url, _access(site, entry, logins), [time.time()], TRIAL_SECONDS))
         try:
@@ -134,6 +138,7 @@ def trial(site: Site) -> dict[str, str]:
 
 
 def _access(site: Site, entry: CameraEntry, logins: dict[str, Login]) -> Access:
+    """How a camera is reached: its login, or that of all cameras, and what its certificate is verified with."""
     tls = entry.tls
     if isinstance(tls, str) and not FINGERPRINT.fullmatch(tls):
         tls = str(site.file.parent / tls)
@@ -165,6 +170,7 @@ def _take(site: Site, delivery: Delivery, url: str, access: Access, moments: lis
 
 
 def _write(site: Site, delivery: Delivery, shot: Shot) -> None:
+    """Write a picture under the time at which it was taken: by the camera's clock, unless that is wrong or unknown."""
     data, camera_time = shot
     now = time.time()
     moment = now if camera_time is None else camera_time
@@ -182,7 +188,9 @@ def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
     """The path of a capture.  When clocks are set back, an hour occurs twice: if a file of the first pass has the name, the name
     of the next free second is used, so that nothing is overwritten."""
     path = site.captures.name(camera, local)
-    for seconds in range(1, 3600 if local.fold else 0):
+    if not local.fold:  # not in the second pass of an hour
+        return path
+    for seconds in range(1, 3600):
         if not path.exists():
             break
         path = site.captures.name(camera, local + datetime.timedelta(seconds=seconds))
@@ -190,6 +198,7 @@ def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
 
 
 def _check_names(site: Site, camera: str, moments: list[float]) -> None:
+    """Raise UsageError if the pattern gives no names for new captures, or two moments the same one."""
     remedy = "captures: {pattern: '{camera}/{date}_{time}.jpg'}, or fewer frames over more seconds"
     try:
         names = {site.captures.name(camera, site.local(moment)) for moment in moments}

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-_CLOUD, _POSES, _FRAMES = ("fuse",), ("poses",), ("frames",)
+_CLOUD = ("fuse",)
+_POSES = ("poses",)
+_FRAMES = ("frames",)
 _DEPTHS = ("refine", "depth")
 
 
@@ -26,8 +28,9 @@ class Export:
     dated: bool = False
     """Does the function also take the date of the night, as `day`?"""
     extra: str = ""
+    """The extra of this package that the format needs; "": none."""
     extra_on_the_map: str = ""
-    """The extras of this package that the format needs: always, and only if the site is georeferenced."""
+    """The extra that it needs only if the site is georeferenced."""
 
     @property
     def function(self) -> str:

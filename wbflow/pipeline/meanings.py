@@ -29,10 +29,12 @@ class Meaning:
         """The grade of a value: good, fair or bad; "" if it cannot be graded."""
         if self.good is None or self.bad is None or isinstance(value, bool | str) or value is None:
             return ""
-        sign = 1.0 if self.good > self.bad else -1.0
+        sign = 1.0 if self.good > self.bad else -1.0  # of figures that are better if smaller, everything is mirrored
         if sign * value >= sign * self.good:
             return "good"
-        return "bad" if sign * value <= sign * self.bad else "fair"
+        if sign * value <= sign * self.bad:
+            return "bad"
+        return "fair"
 
 
 MEANINGS: Mapping[str, Meaning] = {
@@ -99,13 +101,16 @@ def shown(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, value in figures.items():
         if name in BOOKKEEPING:
             continue
-        title, format_figure = titled(name), _percent if meaning(name).share else format_value
-        if isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
-            ordered = sorted(value.items(), key=lambda entry: -entry[1])
-            remainder = f"; {len(ordered) - _MOST_NAMED} others less" if len(ordered) > _MOST_NAMED else ""
-            yield title, ", ".join(f"{key} {format_figure(number)}" for key, number in ordered[:_MOST_NAMED]) + remainder
-        elif isinstance(value, int | float):
-            yield title, format_figure(value)
+        format_figure = _percent if meaning(name).share else format_value
+        if isinstance(value, int | float):
+            yield titled(name), format_figure(value)
+        elif isinstance(value, Mapping) and value and all(isinstance(entry, int | float) for entry in value.values()):
+            largest_first = sorted(value.items(), key=lambda entry: -entry[1])
+            parts = [f"{key} {format_figure(number)}" for key, number in largest_first[:_MOST_NAMED]]
+            text = ", ".join(parts)
+            if len(largest_first) > _MOST_NAMED:
+                text += f"; {len(largest_first) - _MOST_NAMED} others less"
+            yield titled(name), text
 
 
 def titled(name: str) -> str:
@@ -113,8 +118,15 @@ def titled(name: str) -> str:
     if name in MEANINGS:
         return MEANINGS[name].title
     words, _, unit = name.rpartition("_")
-    return (f"{words} ({'degrees' if unit == 'deg' else unit})" if unit in {"m", "m2", "deg"} else name).replace("_", " ")
+    title = name
+    if unit == "deg":
+        title = f"{words} (degrees)"
+    elif unit in {"m", "m2"}:
+        title = f"{words} ({unit})"
+    return title.replace("_", " ")
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if 0 < share < 0.1 else f"{100 * share:.0f} %"
+    if 0 < share < 0.1:
+        return f"{100 * share:.1f} %"
+    return f"{100 * share:.0f} %"

@@ -330,7 +330,10 @@ def _by_worth(pairs: Iterable[Pair], evidence: Mapping[Pair, Evidence]) -> list[
 
 def _pair_counts(pairs: Iterable[Pair]) -> Counter[str]:
     """Number of pairs of each view."""
-    return Counter(view for pair in pairs for view in pair)
+    counts: Counter[str] = Counter()
+    for pair in pairs:
+        counts.update(pair)
+    return counts
 
 
 def _among_best(best_first: Iterable[Pair], most: int) -> set[Pair]:

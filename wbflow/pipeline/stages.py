@@ -18,10 +18,22 @@ from wbflow_stages.contracts.pose_figures import CalibrationCheck
 
 from .summaries import ChangesSummary, CoverageSummary, PosesSummary
 
-FRAMES, HEALTH, FEATURES, PAIRS, MATCHES, GEOMETRY = "frames", "health", "features", "pairs", "matches", "geometry"
-POSES, DENSE_PAIRS, RECTIFY, DISPARITY = "poses", "dense_pairs", "rectify", "disparity"
-CALIBRATION, DEPTH, REFINE, FUSE, CHANGES = "calibration", "depth", "refine", "fuse", "changes"
-"""Names of the stages that the engine refers to; it treats all others alike."""
+# names of the stages that the engine refers to; it treats all others alike
+FRAMES = "frames"
+HEALTH = "health"
+FEATURES = "features"
+PAIRS = "pairs"
+MATCHES = "matches"
+GEOMETRY = "geometry"
+POSES = "poses"
+DENSE_PAIRS = "dense_pairs"
+RECTIFY = "rectify"
+DISPARITY = "disparity"
+CALIBRATION = "calibration"
+DEPTH = "depth"
+REFINE = "refine"
+FUSE = "fuse"
+CHANGES = "changes"
 
 REJECTED = "wbflow_stages.types:Rejected"
 """The type of a result that means "nothing usable here": it has `reason` and `figures`."""
@@ -98,7 +110,9 @@ class Source:
 
     def may_lack(self, site: Any) -> bool:
         """May the input be missing on this site?"""
-        return self.optional(site) if callable(self.optional) else self.optional
+        if callable(self.optional):
+            return self.optional(site)
+        return self.optional
 
 
 own = partial(Source, "stage", of="own")
@@ -204,8 +218,9 @@ class Stage:
 
 
 CLOUD_COLUMNS = "wbflow_stages.io.clouds:cloud_columns"
+"""The function that gives a cloud's columns by name: clouds are stored as PLY files."""
 RESTORE_CLOUD = "wbflow_stages.io.clouds:cloud_of"
-"""Dotted functions for clouds, which are stored as PLY files: cloud to columns by name, and columns to cloud."""
+"""The function that gives a cloud from its columns."""
 COMPONENT = "component"
 """The parameter of `fuse` with the number of the component of cameras; each component has a task."""
 
@@ -527,11 +542,13 @@ def ancestors(name: str) -> set[str]:
     pending = [name]
     while pending:
         stage = stage_named(pending.pop())
-        if stage.name not in names:
-            names.add(stage.name)
-            pending += [source.name for source in stage.inputs.values() if source.kind == "stage"]
-            if stage.scope == "pair":
-                pending.append(DENSE_PAIRS if stage.dense else PAIRS)
-            if stage.reuse.shifted:
-                pending.append(HEALTH)
+        if stage.name in names:
+            continue
+        names.add(stage.name)
+        pending += [source.name for source in stage.inputs.values() if source.kind == "stage"]
+        # besides its inputs: which pairs there are, and whether the reference's result can be used
+        if stage.scope == "pair":
+            pending.append(DENSE_PAIRS if stage.dense else PAIRS)
+        if stage.reuse.shifted:
+            pending.append(HEALTH)
     return names

@@ -35,8 +35,11 @@ class Summary(JsonDataclass):
 
 
 def _without_none(value: Any, write: SerializerFunctionWrapHandler) -> Any:
+    """Write a dataclass, or None, without its fields that are None."""
     written = write(value)
-    return written and {name: entry for name, entry in written.items() if entry is not None}
+    if not written:
+        return written
+    return {name: entry for name, entry in written.items() if entry is not None}
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ class PosesSummary(PosesFigures, Summary):
     def contradiction(self) -> CalibrationCheck | None:
         """The check that contradicts the stated calibration.  Rows, which are more exact, overrule keypoints that blame no single
         camera; and they are preferred if they alone name a cause, and all cameras share it."""
-        by_keypoints, by_rows = (check if check and check.contradicted else None for check in (self.calibration, self.rows))
+        by_keypoints = self.calibration if self.calibration and self.calibration.contradicted else None
+        by_rows = self.rows if self.rows and self.rows.contradicted else None
         if by_keypoints and self.rows_confirm and not by_keypoints.cameras:
             return None
         if by_rows and not by_rows.cameras and not (by_keypoints and by_keypoints.cause):
@@ -141,7 +145,9 @@ class CoverageSummary(CoverageFigures, SiteSummary):
 
     @property
     def amount(self) -> float | None:
-        return None if self.area_m2 is None or self.seen_by_two is None else self.area_m2 * self.seen_by_two
+        if self.area_m2 is None or self.seen_by_two is None:
+            return None
+        return self.area_m2 * self.seen_by_two
 
 
 @dataclass(frozen=True)
@@ -211,4 +217,6 @@ class ChangesSummary(ChangesFigures, SiteSummary):
     @property
     def volumes(self) -> Mapping[str, CutFill]:
         """Volumes by zone; "" is the whole site, or all zones together."""
-        return {"": self.cut_fill, **self.zones} if self.cut_fill else {}
+        if self.cut_fill is None:
+            return {}
+        return {"": self.cut_fill, **self.zones}
