@@ -15,13 +15,32 @@ import numpy as np
 from ..core.luminance import grey_levels, with_gain
 from ..types import Bools, Float64s, Uint8s
 
-_LEAST_TOLERANCE, _SIGMAS = 18.0, 5.0
-"""An image agrees with the background within the larger of this many grey levels and standard deviations of its noise."""
-_SPECK_PX, _MARGIN_PX = 5, 2
-"""Disagreeing areas thinner than the first are swaying edges and are ignored; the second is the margin around the others."""
+_LEAST_TOLERANCE = 18.0
+"""An image agrees with the background within this many grey levels; or more, in an image with much noise."""
+_SIGMAS = 5.0
+"""An image agrees with the background within this many standard deviations of its noise."""
+_SPECK_PX = 5
+"""Disagreeing areas thinner than this, in pixels, are swaying edges, and are ignored."""
+_MARGIN_PX = 2
+"""Width of the margin around disagreeing areas that is doubtful, too, in pixels."""
 _MOST_DOUBTFUL = 0.25
 """If a larger share of the pixels is doubtful, the images differ by more than moving things, and no pixel is marked."""
 _STRIP_ROWS = 64
+"""Rows of which medians are computed at once, to bound memory."""
+
+_LEAST_EXPOSURE_RATIO = 1.06
+"""Smallest ratio of the brightest to the darkest exposure of a night at which overlays show: below it they change no less than
+the scene does."""
+_LEAST_CHANGE = 8.0
+"""Grey levels by which a pixel of the scene must change between these exposures to be told from one that is constant."""
+_CONSTANT_SHARE = 0.25
+"""A pixel is constant if it changes by at most this share of what one of the scene would."""
+_CLIPPED = 251
+"""Largest grey level that is compared: brighter pixels are clipped, and constant for that reason."""
+_STROKE_EDGE = 60
+"""Smallest response of the Laplacian, in grey levels, next to the strokes of an overlay: they have sharp edges."""
+_LEAST_STROKE_SHARE = 0.12
+"""Smallest share of stroke pixels in the 9 x 9 pixels around one; isolated ones are left by noise."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +65,36 @@ def merge(images: Sequence[Uint8s], weights: Float64s | None = None) -> Backgrou
     no_pixels = np.zeros(images[0].shape[:2], np.bool_)
     if len(images) == 1:
         return Background(images[0], no_pixels, no_pixels, 0.0)
-    weights = np.ones(len(images)) if weights is None else weights
+    if weights is None:
+        weights = np.ones(len(images))
+
+    # 1. equal exposures: those of the best images, or of the later one of two
     thumbnails = np.stack([cv2.resize(image, (96, 64), interpolation=cv2.INTER_AREA) for image in images]).astype(np.float32)
-    reference = np.median(thumbnails[weights == weights.max()], axis=0) if len(images) > 2 else thumbnails[-1]
+    reference = thumbnails[-1]
+    if len(images) > 2:
+        reference = np.median(thumbnails[weights == weights.max()], axis=0)
     gains = [_channel_gains(thumbnail, reference) for thumbnail in thumbnails]
     stack = [with_gain(image, gain) for image, gain in zip(images, gains, strict=True)]
-    merged = _medians(stack, weights) if len(images) > 2 else images[-1]
+
+    # 2. the background
+    merged = images[-1]
+    if len(images) > 2:
+        merged = _medians(stack, weights)
+
+    # 3. where no majority agrees with it (1e-9: a weight of exactly one half, after rounding, is none)
     agreement = _agreement(stack, merged, weights)
     disagreeing = cv2.morphologyEx((agreement <= 0.5 + 1e-9).astype(np.uint8), cv2.MORPH_OPEN, _disc(_SPECK_PX))
     doubtful = np.asarray(cv2.dilate(disagreeing, _disc(2 * _MARGIN_PX + 1)), np.bool_)
     if doubtful.mean() > _MOST_DOUBTFUL:
         doubtful = no_pixels
+
+    # 4. a live sensor has noise: pixels that are the same in all images show that they repeat each other
     identical = np.logical_and.reduce([(image == images[0]).all(axis=2) for image in images[1:]])
     return Background(merged, doubtful, _overlaid(images, np.array(gains), merged), float(identical.mean()))
 
 
 def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
+    """(h, w, 3) weighted median of each channel of each pixel over the images (h, w, 3); always a value of one of them."""
     merged = np.empty_like(stack[0])
     middle = len(stack) // 2
     equal_weights = bool((weights == weights[0]).all())
@@ -70,6 +103,7 @@ def _medians(stack: Sequence[Uint8s], weights: Float64s) -> Uint8s:
         if equal_weights:
             merged[top : top + _STRIP_ROWS] = np.partition(strip, middle, axis=0)[middle]
             continue
+        # in ascending order, the first value with which half of the weight is reached
         order = np.argsort(strip, axis=0, kind="stable")
         past_middle = np.cumsum(weights[order], axis=0) > 0.5 * weights.sum() - 1e-9
         chosen = np.take_along_axis(order, past_middle.argmax(axis=0)[None], axis=0)
@@ -82,6 +116,7 @@ def _agreement(stack: Sequence[Uint8s], merged: Uint8s, weights: Float64s) -> Fl
     share = np.zeros(merged.shape[:2])
     for image, weight in zip(stack, weights, strict=True):
         difference = cv2.absdiff(image, merged).max(axis=2)
+        # the median absolute deviation, as a standard deviation; a sixteenth of the pixels is enough
         sigma = 1.4826 * float(np.median(difference[::4, ::4]))
         share += weight * (difference <= max(_LEAST_TOLERANCE, _SIGMAS * sigma))
     return np.asarray(share / weights.sum(), np.float64)
@@ -97,19 +132,26 @@ def _overlaid(images: Sequence[Uint8s], gains: Float64s, merged: Uint8s) -> Bool
     It is detected only where the exposure has changed enough to move a pixel by some grey levels.  Strokes are joined to lines
     of text, which then include the changing digits.
     """
-    no_pixels = np.zeros(merged.shape[:2], np.bool_)
+    # 1. the two images with the most different exposures; the brightest needs the smallest gain
     mean_gains = gains.mean(axis=1)
-    brightest, darkest = int(mean_gains.argmin()), int(mean_gains.argmax())
+    brightest = int(mean_gains.argmin())
+    darkest = int(mean_gains.argmax())
     ratio = float(mean_gains[darkest] / mean_gains[brightest])
-    if ratio < 1.06:
-        return no_pixels
-    bright, dark = images[brightest].max(axis=2).astype(np.float32), images[darkest].max(axis=2).astype(np.float32)
+    if ratio < _LEAST_EXPOSURE_RATIO:
+        return np.zeros(merged.shape[:2], np.bool_)
+    bright = images[brightest].max(axis=2).astype(np.float32)
+    dark = images[darkest].max(axis=2).astype(np.float32)
+
+    # 2. strokes: pixels with sharp edges that are as bright in both
     difference = np.abs(bright - dark)
     expected = np.minimum(bright, dark) * (ratio - 1)
-    is_constant = (expected >= 8) & (difference <= 0.25 * expected) & (np.maximum(bright, dark) <= 251)
+    is_constant = (expected >= _LEAST_CHANGE) & (difference <= _CONSTANT_SHARE * expected)
+    is_constant &= np.maximum(bright, dark) <= _CLIPPED
     edges = np.abs(cv2.Laplacian(grey_levels(merged), cv2.CV_32F))
-    strokes = (is_constant & (cv2.dilate(edges, _disc(3)) > 60)).astype(np.uint8)
-    strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < 0.12] = 0  # isolated pixels, left by noise
+    strokes = (is_constant & (cv2.dilate(edges, _disc(3)) > _STROKE_EDGE)).astype(np.uint8)
+    strokes[cv2.blur(strokes.astype(np.float32), (9, 9)) < _LEAST_STROKE_SHARE] = 0
+
+    # 3. lines of text: strokes close to each other in a row, of some size and number
     width = merged.shape[1]
     text_lines = cv2.morphologyEx(strokes, cv2.MORPH_CLOSE, np.ones((5, max(width // 20, 5) | 1), np.uint8))
     overlay = np.zeros_like(text_lines)

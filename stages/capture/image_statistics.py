@@ -14,20 +14,29 @@ from ..types import Bools, Float32s, Float64s, Uint8s
 
 POOR = 0.25
 """Weight of a frame that is clearly worse than the others of its night."""
-_BLURRED, _DARK, _BRIGHT, _BLINDED = 0.6, 0.5, 1.8, 0.12
-"""Limits of poor frames: shares of the night's median sharpness and brightness, and excess share of saturated pixels."""
+_BLURRED = 0.6
+"""A frame with a smaller share of the night's median sharpness is blurred."""
+_DARK = 0.5
+"""A frame with a smaller share of the night's median brightness is too dark."""
+_BRIGHT = 1.8
+"""A frame with a larger share of the night's median brightness is too bright."""
+_BLINDED = 0.12
+"""A frame whose share of saturated pixels exceeds the night's median by more than this is blinded."""
 _LONG_SIDE = 640
+"""Long side, in pixels, to which frames are reduced before they are compared."""
 _PRESMOOTHING_PX = 0.5
 """Sigma of the Gaussian that suppresses noise before edges are detected, pixels."""
-_SCALES, _SMOOTH = (1.0, 0.5, 0.25, 0.125), 1.5
-"""Scales at which pixel differences are measured, and ratio of successive ones below which there is detail.  Fitted on a yard,
-fountain and entry at 768 pixels (0.9 to 1.44; enlarged or smeared: 1.6 to 1.9).  Validated on stadium, apron, hall, houses,
-yard by night, belvedere, square, pavilion: 1 pixel as they are, 1.6 and more if enlarged three times or smeared by 9 px."""
+_SCALES = (1.0, 0.5, 0.25, 0.125)
+"""Scales of an image at which pixel differences are measured."""
+_SMOOTH = 1.5
+"""Ratio of the differences at successive scales below which there is detail.  Larger: images with little detail pass (measured:
+0.9 to 1.44 in sharp images, 1.6 to 1.9 in enlarged or smeared ones)."""
 _SAMPLE_STEP = 7
 """Step of the samples from which the threshold for strong slopes is taken."""
-_FAINT_SLOPE, _FEWEST_EDGES = 24.0, 15
-"""Sobel slopes below the first are noise; with fewer edge pixels than the second there is no estimate.  A quarter of 160 x 90
-pixels has 50 to 120, and 15 to 30 if it is out of focus."""
+_FAINT_SLOPE = 24.0
+"""Slopes below this (Sobel, grey levels) are noise."""
+_FEWEST_EDGES = 15
+"""With fewer edge pixels there is no estimate.  A quarter of 160 x 90 pixels has 50 to 120, and 15 to 30 if out of focus."""
 
 
 @dataclass(frozen=True)
@@ -66,23 +75,39 @@ def blur_px(image: Uint8s, usable: Bools) -> float:
     References: Zhuo, Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011.
     """
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), _PRESMOOTHING_PX)
-    slope, reblurred = (_slope(grey), _slope(cv2.GaussianBlur(grey, (0, 0), 1.0)))
+    slope = _slope(grey)
+    reblurred = _slope(cv2.GaussianBlur(grey, (0, 0), 1.0))
+    # the border of the usable pixels is an edge of its own
     inside = cv2.erode(usable.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    (h, w), full = usable.shape, slice(None)
-    quarters = [(y, x) for y in (slice(h // 2), slice(h // 2, None)) for x in (slice(w // 2), slice(w // 2, None))]
+    blurs = []
+    for part in _parts(*usable.shape):
+        blur = _blur_px(slope[part], reblurred[part], inside[part])
+        if np.isfinite(blur):
+            blurs.append(blur)
+    return max(blurs, default=float("nan"))
+
+
+def _parts(h: int, w: int) -> list[tuple[slice, slice]]:
+    """Rows and columns of the quarters of an image of this size, its outer thirds, and the whole."""
+    full = slice(None)
+    quarters = []
+    for rows in (slice(h // 2), slice(h // 2, None)):
+        for columns in (slice(w // 2), slice(w // 2, None)):
+            quarters.append((rows, columns))
     thirds = [(slice(h // 3), full), (slice(-(h // 3), None), full), (full, slice(w // 3)), (full, slice(-(w // 3), None))]
-    blurs = [_blur_px(slope[part], reblurred[part], inside[part]) for part in (*quarters, *thirds, (full, full))]
-    return max((blur for blur in blurs if np.isfinite(blur)), default=float("nan"))
+    return [*quarters, *thirds, (full, full)]
 
 
 def _blur_px(slope: Float32s, reblurred: Float32s, inside: Bools) -> float:
     """Blur of a part of an image, from the slopes (h, w) of its grey levels before and after blurring it again."""
     if not inside.any():
         return float("nan")
-    strong = inside & (slope > max(float(np.percentile(slope[inside][::_SAMPLE_STEP], 95)), _FAINT_SLOPE))
-    edge = strong & (cv2.dilate(slope, np.ones((5, 5), np.uint8)) == slope)
+    threshold = max(float(np.percentile(slope[inside][::_SAMPLE_STEP], 95)), _FAINT_SLOPE)
+    is_crest = cv2.dilate(slope, np.ones((5, 5), np.uint8)) == slope  # the steepest pixel within two
+    edge = inside & (slope > threshold) & is_crest
     if int(edge.sum()) < _FEWEST_EDGES:
         return float("nan")
+    # an edge of blur s has a slope ~ 1 / s; blurred again by 1 px, ~ 1 / sqrt(s^2 + 1): s = 1 / sqrt(ratio^2 - 1)
     ratio = slope[edge] / np.maximum(reblurred[edge], 1e-3)
     total = float(np.percentile(1 / np.sqrt(np.maximum(ratio**2 - 1, 1e-2)), 25))
     return float(np.sqrt(max(total**2 - _PRESMOOTHING_PX**2, 0.0)))
@@ -103,27 +128,40 @@ def detail_px(image: Uint8s, usable: Bools, noise: float) -> float:
     grey = grey_levels(image).astype(np.float32)
     distances = []
     for axis in (0, 1):
-        differences = [
-            _rms_step(cv2.resize(grey, None, fx=f, fy=f, interpolation=cv2.INTER_AREA), usable, axis, noise * f) for f in _SCALES
-        ]
+        differences = []
+        for scale in _SCALES:
+            reduced = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            differences.append(_rms_step(reduced, usable, axis, noise * scale))
         ratios = [min(coarse / max(fine, 1e-3), 2.0) for fine, coarse in pairwise(differences)]
-        scale = next((k for k, ratio in enumerate(ratios) if ratio < _SMOOTH), len(ratios))
-        if scale == 0:
-            distances.append(1.0)
-        elif scale == len(ratios):
-            distances.append(2.0**scale)
-        else:
-            distances.append(float(2 ** (scale - 1 + (ratios[scale - 1] - _SMOOTH) / (ratios[scale - 1] - ratios[scale]))))
+        distances.append(_detail_distance(ratios))
     return max(distances)
+
+
+def _detail_distance(ratios: Sequence[float]) -> float:
+    """Distance in pixels at which the ratio of differences, given for 1, 2, 4, ... pixels, falls below `_SMOOTH`."""
+    for k, ratio in enumerate(ratios):
+        if ratio < _SMOOTH:
+            if k == 0:
+                return 1.0
+            # between two scales, linearly in the logarithm of the distance
+            previous = ratios[k - 1]
+            return float(2 ** (k - 1 + (previous - _SMOOTH) / (previous - ratio)))
+    return 2.0 ** len(ratios)
 
 
 def _rms_step(grey: cv2.typing.MatLike, usable: Bools, axis: int, noise: float) -> float:
     """Root mean square difference of neighbouring pixels of an image (h, w) along an axis, without the noise's part."""
     h, w = grey.shape
     inside = cv2.resize(usable.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST).astype(np.bool_)
-    pairs_inside = (inside[1:] & inside[:-1]) if axis == 0 else (inside[:, 1:] & inside[:, :-1])
-    squares = np.diff(grey, axis=axis)[pairs_inside] ** 2
-    return float(np.sqrt(max(float(squares.mean()) - 2 * noise**2, 0.0))) if len(squares) else 0.0
+    if axis == 0:
+        both_inside = inside[1:] & inside[:-1]
+    else:
+        both_inside = inside[:, 1:] & inside[:, :-1]
+    squares = np.diff(grey, axis=axis)[both_inside] ** 2
+    if not len(squares):
+        return 0.0
+    # a difference of two pixels has the variance of the noise twice
+    return float(np.sqrt(max(float(squares.mean()) - 2 * noise**2, 0.0)))
 
 
 def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tuple[Float64s, list[str]]:
@@ -137,20 +175,36 @@ def weigh(images: Sequence[Uint8s], names: Sequence[str], usable: Bools) -> tupl
     weights = np.ones(len(images))
     if len(images) < 3 or not small.any():
         return weights, []
-    measured = [image_statistics(np.asarray(cv2.resize(i, size, interpolation=cv2.INTER_AREA), np.uint8), small) for i in images]
-    usual = ImageStatistics(*(float(np.median([getattr(f, n) for f in measured])) for n in ImageStatistics.__dataclass_fields__))
+    measured = []
+    for image in images:
+        reduced = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        measured.append(image_statistics(reduced, small))
+    typical = _median_statistics(measured)
     messages = []
     for k, (name, frame) in enumerate(zip(names, measured, strict=True)):
-        if frame.saturated > usual.saturated + _BLINDED:
-            problem = f"blinded ({100 * frame.saturated:.0f} % saturated, usually {100 * usual.saturated:.0f} %)"
-        elif frame.sharpness < _BLURRED * usual.sharpness:
-            problem = f"blurred (sharpness {frame.sharpness:.3f}, usually {usual.sharpness:.3f})"
-        elif frame.brightness < _DARK * usual.brightness:
-            problem = f"too dark (brightness {frame.brightness:.0f}, usually {usual.brightness:.0f})"
-        elif frame.brightness > _BRIGHT * usual.brightness:
-            problem = f"too bright (brightness {frame.brightness:.0f}, usually {usual.brightness:.0f})"
-        else:
-            continue
-        weights[k] = POOR
-        messages.append(f"{name} is {problem}: counts a quarter")
+        problem = _problem_of(frame, typical)
+        if problem:
+            weights[k] = POOR
+            messages.append(f"{name} is {problem}: counts a quarter")
     return weights, messages
+
+
+def _median_statistics(measured: Sequence[ImageStatistics]) -> ImageStatistics:
+    """The median of each figure over several images."""
+    medians = {}
+    for name in ImageStatistics.__dataclass_fields__:
+        medians[name] = float(np.median([getattr(frame, name) for frame in measured]))
+    return ImageStatistics(**medians)
+
+
+def _problem_of(frame: ImageStatistics, typical: ImageStatistics) -> str:
+    """What is wrong with a frame compared with those of its night, in words; "" if nothing is."""
+    if frame.saturated > typical.saturated + _BLINDED:
+        return f"blinded ({100 * frame.saturated:.0f} % saturated, usually {100 * typical.saturated:.0f} %)"
+    if frame.sharpness < _BLURRED * typical.sharpness:
+        return f"blurred (sharpness {frame.sharpness:.3f}, usually {typical.sharpness:.3f})"
+    if frame.brightness < _DARK * typical.brightness:
+        return f"too dark (brightness {frame.brightness:.0f}, usually {typical.brightness:.0f})"
+    if frame.brightness > _BRIGHT * typical.brightness:
+        return f"too bright (brightness {frame.brightness:.0f}, usually {typical.brightness:.0f})"
+    return ""

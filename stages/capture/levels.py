@@ -24,8 +24,9 @@ _BITS = (10, 12, 14, 16, 24, 32)
 _WIDTHS_K = (20.0, 40.0, 80.0, 160.0)
 """Ranges of temperature that become black to white, kelvins: one is taken that is twice as wide as what the camera sees."""
 _MOST_COLD_C = -80.0
+"""Values below this, in the units of a thermal camera, are no temperatures; a clear sky measures below -50."""
 _MOST_WARM_C = 180.0
-"""Values that all lie in this range, in units of a thermal camera, are temperatures; a clear sky measures below -50."""
+"""Values above this, in the units of a thermal camera, are no temperatures of a scene."""
 _USUAL_SPREAD_K = 130.0
 """Widest range of temperatures in a scene, kelvins: wider ones are values of another kind."""
 _ZERO_C_IN_KELVIN = 273.15

@@ -31,7 +31,8 @@ def private_area(privacy: Privacy | None, width: int, height: int, name: str) ->
         return None
     area = np.zeros((height, width), np.uint8)
     for corners in _polygons(privacy, width, height):
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
         if high[0] > width or high[1] > height or (low < -0.5).any():
             raise BadCapture(
                 f"{name} has {width} x {height} pixels, and a privacy polygon reaches to ({high[0]:.0f}, {high[1]:.0f}): "
@@ -39,7 +40,7 @@ def private_area(privacy: Privacy | None, width: int, height: int, name: str) ->
             )
         outline = [np.rint(corners).astype(np.int32)]
         cv2.fillPoly(area, outline, 1)
-        cv2.polylines(area, outline, True, 1, 2)
+        cv2.polylines(area, outline, True, 1, 2)  # the border as well: corners lie between pixels
     return np.asarray(area, np.bool_)
 
 
@@ -61,5 +62,7 @@ def with_margin(area: Bools) -> Bools:
 def _polygons(privacy: Privacy, width: int, height: int) -> Iterator[Float64s]:
     """Corners (n, 2) of each polygon in pixels; corners that all lie within 0 to 1 are shares of width and height."""
     for corners in np.split(privacy.corners, np.cumsum(privacy.counts.astype(int)))[:-1]:
-        are_shares = bool((corners >= 0).all() and (corners <= 1).all())
-        yield corners * (width, height) - 0.5 if are_shares else corners
+        if (corners >= 0).all() and (corners <= 1).all():
+            yield corners * (width, height) - 0.5  # the centre of the first pixel is 0, its corner -0.5
+        else:
+            yield corners

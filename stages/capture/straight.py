@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.cameras import scaled_intrinsics
 from ..core.lenses import WIDEST_DEG, lens_pixels, sides_deg
-from ..types import Float32s, Float64s, Lens, Uint8s, View
+from ..types import Bools, Float32s, Float64s, Lens, Uint8s, View
 from .files import BadCapture, wrong_size
 
 
@@ -65,8 +65,11 @@ class CapturePinhole:
         if self.K is None or (self.keeps_intrinsics and not np.any(self.lens.distortion)):
             return image
         # of a mask in a view of another size, pixels that mix with the black outside count as not seen
-        filtering = cv2.INTER_NEAREST if nearest and self.keeps_intrinsics else cv2.INTER_LINEAR
-        return np.asarray(cv2.remap(image, *self._maps, filtering, borderMode=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
+        filtering = cv2.INTER_LINEAR
+        if nearest and self.keeps_intrinsics:
+            filtering = cv2.INTER_NEAREST
+        undistorted = cv2.remap(image, *self._maps, filtering, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        return np.asarray(undistorted, dtype=np.uint8)
 
     def working_size(self, resolution: int | None) -> tuple[int, int]:
         """(width, height) of the frame, at the scale of captures resized to a long side of `resolution`."""
@@ -78,7 +81,9 @@ class CapturePinhole:
 
     def view(self, width: int, height: int) -> View:
         """The `View` of a frame of this size."""
-        K = None if self.K is None else scaled_intrinsics(self.K, width / self.size[0], height / self.size[1])
+        K = None
+        if self.K is not None:
+            K = scaled_intrinsics(self.K, width / self.size[0], height / self.size[1])
         known = self.focal_known and K is not None
         if not self.keeps_intrinsics:
             return View(width, height, K, known, self.width, self.height, lens=self.lens)
@@ -90,7 +95,8 @@ class CapturePinhole:
         if self.keeps_intrinsics or self.K is None or self.lens.turn is not None:
             return ()
         left, right, upper, lower = sides_deg(self.lens, self.width, self.height)
-        width_deg, height_deg = left + right, upper + lower
+        width_deg = left + right
+        height_deg = upper + lower
         if max(width_deg, height_deg) < WIDEST_DEG + 2:
             return ()
         used = f"{min(width_deg, WIDEST_DEG):.0f} x {min(height_deg, WIDEST_DEG):.0f}"
@@ -104,15 +110,17 @@ class CapturePinhole:
             maps = cv2.initUndistortRectifyMap(self.K, self.lens.distortion, None, self.K, self.size, cv2.CV_32FC1)
             return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
         width, height = self.size
-        x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-        to_rays = np.linalg.inv(self.K).T
+        x = np.empty((height, width), np.float32)
+        y = np.empty((height, width), np.float32)
+        to_rays = np.linalg.inv(self.K).T  # transposed: pixels are rows here
         for first in range(0, height, _ROWS_AT_ONCE):
             rows = np.arange(first, min(first + _ROWS_AT_ONCE, height))
             pixels = np.stack([*np.meshgrid(np.arange(width), rows), np.ones((len(rows), width))], axis=-1)
             rays: Float64s = pixels.reshape(-1, 3).astype(np.float64) @ to_rays
-            sources = lens_pixels(self.lens, rays if self.lens.turn is None else rays @ self.lens.turn)
+            sources = lens_pixels(self.lens, _in_lens_axes(self.lens, rays))
             # pixels that the lens does not see are mapped to far outside the capture
-            x[rows], y[rows] = (np.nan_to_num(sources[:, k], nan=-1e4).reshape(len(rows), width) for k in (0, 1))
+            x[rows] = np.nan_to_num(sources[:, 0], nan=-1e4).reshape(len(rows), width)
+            y[rows] = np.nan_to_num(sources[:, 1], nan=-1e4).reshape(len(rows), width)
         return x, y
 
 
@@ -134,7 +142,16 @@ _GRID_DEG = 0.25
 
 def _changes_intrinsics(lens: Lens, whole_field: bool) -> bool:
     """Does the undistorted image get another K and size than the lens's own?"""
-    return (whole_field and bool(np.any(lens.distortion))) if lens.model == "brown" else lens.model != "pinhole"
+    if lens.model == "brown":
+        return whole_field and bool(np.any(lens.distortion))
+    return lens.model != "pinhole"
+
+
+def _in_lens_axes(lens: Lens, rays: Float64s) -> Float64s:
+    """Rays (n, 3) of a view in the axes of its lens."""
+    if lens.turn is None:
+        return rays
+    return rays @ lens.turn
 
 
 def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, bool]:
@@ -149,34 +166,45 @@ def _intrinsics(lens: Lens, width: int, height: int) -> tuple[Float64s | None, b
 
 def _covering_pinhole(lens: Lens, width: int, height: int, name: str) -> tuple[Float64s, bool, Lens, tuple[int, int]]:
     """K, True as it is known, the lens, and the size of the view."""
-    axes = [_tangents(lens, 0), _tangents(lens, 2)]
-    x, y = np.meshgrid(*axes)
+    # 1. which directions on a grid of angles the lens sees
+    x_tangents = _tangents(lens, 0)
+    y_tangents = _tangents(lens, 2)
+    x, y = np.meshgrid(x_tangents, y_tangents)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-    pixels = lens_pixels(lens, rays if lens.turn is None else rays @ lens.turn)
+    pixels = lens_pixels(lens, _in_lens_axes(lens, rays))
     visible = np.all((pixels > -0.5) & (pixels < (width - 0.5, height - 0.5)), axis=1).reshape(x.shape)
     if not visible.any():
         raise BadCapture(f"{name}: according to its intrinsics, the lens sees nothing in front of it")
-    spans = []
-    for axis, tangents in enumerate(axes):
-        visible_steps = np.flatnonzero(visible.any(axis=axis))
-        spans.append((tangents[max(visible_steps[0] - 1, 0)], tangents[min(visible_steps[-1] + 1, len(tangents) - 1)]))
+
+    # 2. the pinhole that covers them, at the scale of the lens's centre
+    left, right = _covered(x_tangents, visible.any(axis=0))
+    upper, lower = _covered(y_tangents, visible.any(axis=1))
     f = _central_scale(lens)
-    size = tuple(max(1, round(f * (high - low))) for low, high in spans)
-    K = np.array([[f, 0.0, -f * spans[0][0] - 0.5], [0.0, f, -f * spans[1][0] - 0.5], [0.0, 0.0, 1.0]])
-    return K, True, lens, (size[0], size[1])
+    size = (max(1, round(f * (right - left))), max(1, round(f * (lower - upper))))
+    K = np.array([[f, 0.0, -f * left - 0.5], [0.0, f, -f * upper - 0.5], [0.0, 0.0, 1.0]])
+    return K, True, lens, size
+
+
+def _covered(tangents: Float64s, visible: Bools) -> tuple[float, float]:
+    """The first and the last of the tangents along an axis that a view covers: a step beyond those that are visible."""
+    steps = np.flatnonzero(visible)
+    return tangents[max(steps[0] - 1, 0)], tangents[min(steps[-1] + 1, len(tangents) - 1)]
 
 
 def _tangents(lens: Lens, start: int) -> Float64s:
     """Tangents of the angles along one axis of a view, from one end to the other."""
-    half_deg = 0.5 * WIDEST_DEG
-    low, high = (-half_deg, half_deg) if lens.window is None else np.rad2deg(np.arctan(lens.window[start : start + 2]))
+    low = -0.5 * WIDEST_DEG
+    high = 0.5 * WIDEST_DEG
+    if lens.window is not None:
+        low, high = np.rad2deg(np.arctan(lens.window[start : start + 2]))
     return np.asarray(np.tan(np.deg2rad(np.arange(low, high + 1e-9, _GRID_DEG))), dtype=np.float64)
 
 
 def _central_scale(lens: Lens) -> float:
     """Pixels of the capture per radian at the centre of the lens."""
-    step = 1e-4
+    step = 1e-4  # radians
     x = lens_pixels(lens, np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]]))
+    # the determinant of the Jacobian is the scale of areas
     scale = np.sqrt(abs(np.linalg.det(np.array([x[0] - x[1], x[2] - x[3]]) / (2 * step))))
     if not np.isfinite(scale):
         raise BadCapture("the lens sees nothing on its own axis: are its coefficients right?")

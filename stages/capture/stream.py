@@ -26,7 +26,9 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
     url: with user and password, if needed; patience: timeout in seconds of opening the stream, and of each image.  Raises
     OSError if the stream cannot be opened or decoded, or ends; the message does not contain the URL.
     """
-    options = _OVER_TCP if url.startswith("rtsp") else {}
+    options = {}
+    if url.startswith("rtsp"):
+        options = _OVER_TCP
     try:
         container: Any = av.open(url, options=options, timeout=patience)
     except (av.error.FFmpegError, OSError) as error:
@@ -41,6 +43,7 @@ def stream_pictures(url: str, moments: Sequence[float], patience: float) -> Iter
 
 
 def _at(moments: Sequence[float], container: Any, patience: float) -> Iterator[tuple[bytes, float | None]]:
+    """The pictures of an opened stream; parameters and errors as for `stream_pictures`."""
     decoded_of_stream = decoded_frames(container)
     for moment in moments:
         while True:

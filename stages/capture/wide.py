@@ -42,32 +42,48 @@ def views_of_lens(
     """
     lens = Lens(np.array(K, dtype=np.float64), np.array(distortion, dtype=np.float64), None, width, height, model)
     left, right, up, down = np.minimum(sides_deg(lens, width, height), _MOST_OFF_AXIS_DEG).tolist()
-    width_deg, height_deg = left + right, up + down
-    if max(width_deg, height_deg) <= WIDEST_DEG + _TOLERATED_DEG:
+    if max(left + right, up + down) <= WIDEST_DEG + _TOLERATED_DEG:
         return []
+    lens_x = (-left, right)
+    lens_y = (-up, down)
     views = []
-    for x, y in _layout((-left, right), (-up, down)):
-        turn, window = _turn(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])), [*_borders(x, (-left, right)), *_borders(y, (-up, down))]
+    for x, y in _layout(lens_x, lens_y):
+        turn = _turn(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]))
+        window = [*_borders(x, lens_x), *_borders(y, lens_y)]
         if _visible_share(lens, turn, window) >= _LEAST_VISIBLE:
             views.append((turn.tolist(), window))
+    if len(views) < 2:
+        return []
+    # turn[2][2] is the cosine of the angle between the axes; rounded, so that symmetric views keep their order
     views.sort(key=lambda view: -round(view[0][2][2], 6))
-    return views if len(views) > 1 else []
+    return views
 
 
 def _layout(x: Span, y: Span) -> list[tuple[Span, Span]]:
     """Horizontal and vertical span of each view: from left to right and from top to bottom, or the middle first in a cross."""
-    columns, rows = _split_span(x), _split_span(y)
+    columns = _split_span(x)
+    rows = _split_span(y)
     if min(len(columns), len(rows)) == 1 or len(columns) == len(rows) == 2:
-        return [(column, row) for row in rows for column in columns]
-    half_deg = 0.5 * WIDEST_DEG
-    middle = (max(x[0], -_MIDDLE_DEG), min(x[1], _MIDDLE_DEG)), (max(y[0], -_MIDDLE_DEG), min(y[1], _MIDDLE_DEG))
+        views = []
+        for row in rows:
+            views += [(column, row) for column in columns]
+        return views
+    # a cross: the views at the sides are as long as a pinhole allows, so that they cover the corners, too
+    middle = (_limited(x, _MIDDLE_DEG), _limited(y, _MIDDLE_DEG))
+    full_x = _limited(x, 0.5 * WIDEST_DEG)
+    full_y = _limited(y, 0.5 * WIDEST_DEG)
     inner = _MIDDLE_DEG - _OVERLAP_DEG
-    full_y, full_x = (max(y[0], -half_deg), min(y[1], half_deg)), (max(x[0], -half_deg), min(x[1], half_deg))
     sides = [((x[0], -inner), full_y), ((inner, x[1]), full_y), (full_x, (y[0], -inner)), (full_x, (inner, y[1]))]
     return [middle, *sides]
 
 
+def _limited(span: Span, most_deg: float) -> Span:
+    """The part of a span that is at most so far from the axis."""
+    return max(span[0], -most_deg), min(span[1], most_deg)
+
+
 def _split_span(span: Span) -> list[Span]:
+    """The spans of one, two or three views that cover a span together."""
     low, high = span
     if high - low <= WIDEST_DEG:
         return [span]
@@ -89,12 +105,19 @@ def _turn(right_deg: float, down_deg: float) -> Float64s:
 def _borders(span: Span, lens_span: Span) -> list[float]:
     """Tangents at both borders of a view that looks at the middle of its span, to which `_BORDER_DEG` is added at borders of
     the image (`lens_span`)."""
-    half_deg, most_deg = 0.5 * (span[1] - span[0]), 0.5 * WIDEST_DEG
-    low, high = (min(half_deg + (_BORDER_DEG if edge in lens_span else 0.0), most_deg) for edge in span)
+    half_deg = 0.5 * (span[1] - span[0])
+    reaches = []
+    for edge in span:
+        reach = half_deg
+        if edge in lens_span:
+            reach += _BORDER_DEG
+        reaches.append(min(reach, 0.5 * WIDEST_DEG))
+    low, high = reaches
     return [-float(np.tan(np.deg2rad(low))), float(np.tan(np.deg2rad(high)))]
 
 
 def _visible_share(lens: Lens, turn: Float64s, window: list[float]) -> float:
+    """Share of a view that the lens sees, from a grid of its pixels."""
     x, y = np.meshgrid(np.linspace(window[0], window[1], 24), np.linspace(window[2], window[3], 24))
     pixels = lens_pixels(lens, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ turn)
     return float(((pixels > -0.5) & (pixels < (lens.width - 0.5, lens.height - 0.5))).all(axis=1).mean())
