@@ -16,6 +16,7 @@ Loss: Cauchy, see Black & Anandan, The Robust Estimation of Multiple Motions, 19
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -226,7 +227,9 @@ def check_solved_lens(name: str, cameras: Mapping[str, Camera], geometries: Mapp
         return None
     best = replace(best, amount=best.amount[_POSE_UNKNOWNS:])
     named = _with_cause(_without_cause(posed.world, evidence, is_confirmed=False), best, posed.world, evidence)
-    return named if named.off_px >= HARMFUL_PX else None
+    if named.off_px < HARMFUL_PX:
+        return None
+    return named
 
 
 def misfit_without_cause(cameras: Mapping[str, Camera], geometries: Mapping[Pair, Geometry]) -> float:
@@ -268,7 +271,8 @@ def check_rows(cameras: Mapping[str, Camera], rows: Mapping[Pair, RowMatches]) -
 
     # 2. Shifted principal points are likelier half a pixel than anything else, if that explains most.
     if best.cause.name == "principal-points" and len(evidence) >= FEWEST_PAIRS_FOR_CORNER:
-        corner = _fit(_simple(CORNER, 1, lambda view, a: _shifted(view, a * CORNER_PX / view.camera.width)), stated, evidence)
+        part_of_corner = _simple(CORNER, 1, lambda view, a: _shifted(view, a * CORNER_PX / view.camera.width))
+        corner = _fit(part_of_corner, stated, evidence)
         explains_most = loss - corner.loss >= LEAST_SHARE_UNCONFIRMED * (loss - best.loss)
         if explains_most and LEAST_CORNER <= corner.amount[0] <= MOST_CORNER:
             best = corner
@@ -351,7 +355,9 @@ def _check(stated: _World, confirmed: list[_Matches], other_matches: list[_Match
     if not is_explained:
         return replace(check, contradicted=exceeds_noise)
     named = _with_cause(check, best, stated, evidence)
-    return named if exceeds_noise or named.off_px >= HARMFUL_PX else check
+    if exceeds_noise or named.off_px >= HARMFUL_PX:
+        return named
+    return check
 
 
 def _without_cause(stated: _World, evidence: list[_Matches], is_confirmed: bool) -> CalibrationCheck:
@@ -375,7 +381,7 @@ def _with_cause(check: CalibrationCheck, best: _Explanation, stated: _World, evi
 
 def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list[_Matches]) -> CalibrationCheck:
     """Name the cause under which most pairs lie near their epipolar lines again, if that is more than chance."""
-    stated_medians = np.array([_median_distance(stated, m) for m in evidence])
+    stated_medians = np.array([_median_distance(stated, matches) for matches in evidence])
     has_strayed = stated_medians > STRAYED_SIGMAS
     if has_strayed.sum() < FEWEST_RECOVERED:
         return check
@@ -383,30 +389,36 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
     candidates: list[tuple[_Explanation, list[_Matches]]] = []
     for cause in _causes(stated, evidence, unconfirmed=False):
         explanation = _fit(cause, stated, evidence)
-        medians = np.array([_median_distance(explanation.world, m) for m in evidence])
+        medians = np.array([_median_distance(explanation.world, matches) for matches in evidence])
         is_near = medians <= STRAYED_SIGMAS
         recovered = (has_strayed & is_near & (2 * medians <= stated_medians)).sum()
-        if recovered >= max(FEWEST_RECOVERED, 0.5 * has_strayed.sum()) and (is_near | has_strayed).all():
-            candidates.append((explanation, [m for m, fits in zip(evidence, is_near, strict=True) if fits]))
+        none_strays = (is_near | has_strayed).all()
+        if recovered >= max(FEWEST_RECOVERED, 0.5 * has_strayed.sum()) and none_strays:
+            candidates.append((explanation, [evidence[k] for k in np.flatnonzero(is_near)]))
     if not candidates:
         return check
     # 2. Those with the most such pairs; of these the simplest, by the pairs of the one that fits best.
     most_near = max(len(near) for _, near in candidates)
     ties = [candidate for candidate in candidates if len(candidate[1]) == most_near]
     _, near = min(ties, key=lambda tie: tie[0].loss)
-    best = _simplest([replace(tied, loss=_loss(tied.world, near)) for tied, _ in ties], _loss(stated, near))
+    by_near_pairs = [replace(explanation, loss=_loss(explanation.world, near)) for explanation, _ in ties]
+    best = _simplest(by_near_pairs, _loss(stated, near))
     if not _explains(best, stated, near, unconfirmed=False):
         return check
     named = _with_cause(_without_cause(stated, near, check.confirmed), best, stated, near)
-    return check if named.off_px < HARMFUL_PX else named
+    if named.off_px < HARMFUL_PX:
+        return check
+    return named
 
 
 def _sampled(pair: Pair, chosen: Geometry, full: Geometry) -> _Matches:
     """A sample of some matches of a pair; the noise is estimated from all of them (`full`)."""
     distance = np.abs(sampson_distance(full.F, full.x1, full.x2))
     noise_px = max(1.4826 * float(np.median(distance)), LEAST_NOISE_PX)
+    # evenly spread over the list
     rows = np.linspace(0, len(chosen.x1) - 1, min(SAMPLE, len(chosen.x1))).astype(np.int64)
-    x1, x2 = chosen.x1[rows], chosen.x2[rows]
+    x1 = chosen.x1[rows]
+    x2 = chosen.x2[rows]
     own_loss = float(_cauchy(sampson_distance(full.F, x1, x2) / noise_px).mean())
     return _Matches(pair, x1, x2, noise_px, own_loss)
 
@@ -418,7 +430,8 @@ def _cauchy(residuals: Float64s) -> Float64s:
 
 def _residuals(world: _World, matches: _Matches) -> Float64s:
     """Distances (n,) of matches to the epipolar lines, in standard deviations."""
-    left, right = (world[name] for name in matches.pair)
+    left = world[matches.pair[0]]
+    right = world[matches.pair[1]]
     F = fundamental_from_cameras(left.camera, right.camera)
     return sampson_distance(F, left.undistort(matches.x1), right.undistort(matches.x2)) / matches.noise_px
 
@@ -430,15 +443,20 @@ def _median_distance(world: _World, matches: _Matches) -> float:
 
 def _counts(evidence: list[_Matches]) -> list[int]:
     """Number of matches of each pair that count: its weight in means over pairs."""
-    return [min(len(m.x1), MOST_COUNTED) for m in evidence]
+    return [min(len(matches.x1), MOST_COUNTED) for matches in evidence]
 
 
 def _own_loss(evidence: list[_Matches]) -> float:
+    """The mean loss of the matches under their own geometry."""
     return float(np.average([m.own_loss for m in evidence], weights=_counts(evidence)))
 
 
 def _loss(world: _World, evidence: list[_Matches]) -> float:
-    return float(np.average([_cauchy(_residuals(world, m)).mean() for m in evidence], weights=_counts(evidence)))
+    """The mean loss of the matches in a world."""
+    losses = []
+    for matches in evidence:
+        losses.append(_cauchy(_residuals(world, matches)).mean())
+    return float(np.average(losses, weights=_counts(evidence)))
 
 
 def _excess(world: _World, evidence: list[_Matches], tolerance: float = 0.0) -> float:
@@ -506,7 +524,9 @@ def _is_noticeable(stated: _World, other: _World, evidence: list[_Matches]) -> b
 
 
 def _depths(world: _World, matches: _Matches) -> tuple[Float64s, Float64s]:
-    left, right = (world[name] for name in matches.pair)
+    """Depths (n,) of the matches in the left camera, and the change of depth by a pixel of disparity (n,)."""
+    left = world[matches.pair[0]]
+    right = world[matches.pair[1]]
     return triangulate_depth(left.camera, right.camera, left.undistort(matches.x1), right.undistort(matches.x2))
 
 
@@ -515,22 +535,31 @@ def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1)
     Headings count as two unknowns, like the principal points that they imitate: the loss decides between these."""
     least_loss = min(explanation.loss for explanation in explanations)
     limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
-    return min(explanations, key=lambda e: (e.loss > limit, e.cause.unknowns + (e.cause.name == "headings"), e.loss))
+
+    def rank(explanation: _Explanation) -> tuple[bool, int, float]:
+        unknowns = explanation.cause.unknowns
+        if explanation.cause.name == "headings":
+            unknowns += 1
+        return explanation.loss > limit, unknowns, explanation.loss
+
+    return min(explanations, key=rank)
 
 
 def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanation:
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
-    affected = [m for m in evidence if not cause.cameras or set(cause.cameras) & set(m.pair)]
+    # the loss of other pairs does not depend on the amount
+    affected = [matches for matches in evidence if not cause.cameras or set(cause.cameras) & set(matches.pair)]
     amount = np.zeros(cause.unknowns)
     damping = 1e-3
     scale = np.inf
 
     def residuals(amounts: Float64s) -> Float64s:
         world = cause.change(stated, amounts)
-        return np.concatenate([_residuals(world, m) for m in affected])
+        return np.concatenate([_residuals(world, matches) for matches in affected])
 
     current = residuals(amount)
-    for _ in range(STEPS if cause.unknowns else 0):
+    steps = STEPS if cause.unknowns else 0
+    for _ in range(steps):
         # The scale only tightens, down to that of the loss: a wide one reaches the minimum from afar.
         scale = min(scale, max(OUTLIER, 1.5 * float(np.median(np.abs(current)))))
         cost = float(np.log1p((current / scale) ** 2).sum())
@@ -543,6 +572,7 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
         gradient = J.T @ (weight * current)
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), -gradient)
 
+        # Levenberg-Marquardt: a step is taken only if it helps; else a shorter one, nearer to the gradient, is tried.
         trial = residuals(amount + step)
         if float(np.log1p((trial / scale) ** 2).sum()) < cost:
             amount = amount + step
@@ -579,9 +609,10 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
         yield _simple(name, 0, partial(_read_otherwise, convention=name))
     baseline = _baseline(stated, evidence)
     zero = np.zeros(3)
-    names = sorted({name for m in evidence for name in m.pair})
+    pair_counts = Counter(name for matches in evidence for name in matches.pair)
+    names = sorted(pair_counts)
     for name in names:
-        if len({m.pair for m in evidence if name in m.pair}) < 2:  # matches of one pair may be look-alikes
+        if pair_counts[name] < 2:  # matches of one pair may be look-alikes
             continue
         yield _simple("focal-length", 1, _zoomed, name)
         yield _simple("distortion-of-one", 1, _distorted, name)
@@ -603,13 +634,21 @@ def _causes(stated: _World, evidence: list[_Matches], unconfirmed: bool) -> Iter
 
 def _baseline(world: _World, evidence: list[_Matches]) -> float:
     """Median distance between the cameras of the pairs."""
-    ends = np.array([[world[name].camera.C for name in m.pair] for m in evidence])
-    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    left = np.array([world[matches.pair[0]].camera.C for matches in evidence])
+    right = np.array([world[matches.pair[1]].camera.C for matches in evidence])
+    return float(np.median(np.linalg.norm(right - left, axis=1)))
 
 
 def _simple(name: str, unknowns: int, change: _Change, *cameras: str) -> _Cause:
     """A cause that changes each of some cameras, or of all if none are named, in the same way."""
-    return _Cause(name, lambda w, a: {**w, **{n: change(w[n], a) for n in cameras or w}}, unknowns, cameras)
+
+    def change_all(world: _World, amount: Float64s) -> _World:
+        changed = dict(world)
+        for camera in cameras or world:
+            changed[camera] = change(world[camera], amount)
+        return changed
+
+    return _Cause(name, change_all, unknowns, cameras)
 
 
 def _with_pose(cause: _Cause, name: str, baseline: float) -> _Cause:
@@ -625,7 +664,14 @@ def _with_pose(cause: _Cause, name: str, baseline: float) -> _Cause:
 def _exchange(name: str, sources: Mapping[str, str], cameras: tuple[str, ...] = ()) -> _Cause:
     """A cause by which each camera in `sources` has parts of another one."""
     keys = EXCHANGED[name]
-    return _Cause(name, lambda w, _: {**w, **{n: _mixed(w[n], w[m], keys) for n, m in sources.items()}}, cameras=cameras)
+
+    def change(world: _World, _: Float64s) -> _World:
+        changed = dict(world)
+        for camera, source in sources.items():
+            changed[camera] = _mixed(world[camera], world[source], keys)
+        return changed
+
+    return _Cause(name, change, cameras=cameras)
 
 
 def _posed(view: _CheckedView, amount: Float64s, baseline: float) -> _CheckedView:
@@ -656,8 +702,10 @@ def _has_distortion(camera: Camera) -> bool:
 def _distortion_scaled(view: _CheckedView, extra: Float64s) -> _CheckedView:
     """The camera with the stated distortion times 1 + `extra`."""
     camera = view.camera
+    if not _has_distortion(camera):
+        return view
     scaled = replace(camera, distortion=camera.distortion * (1 + extra[0]))
-    return replace(view, camera=scaled, stated=camera) if _has_distortion(camera) else view
+    return replace(view, camera=scaled, stated=camera)
 
 
 def _shifted(view: _CheckedView, share: Float64s) -> _CheckedView:

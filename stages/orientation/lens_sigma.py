@@ -123,7 +123,9 @@ def lens_sigmas(model: Model, centre_sigma: float = CENTRE_SIGMA) -> dict[int, L
 
 
 def _can_estimate(model: Model) -> bool:
-    return any(view in model.lenses for view in model.cameras) and bool(model.use.any()) and len(model.cameras) <= MOST_VIEWS
+    """Was any lens solved, by observations, among not too many views?"""
+    has_lens = any(view in model.lenses for view in model.cameras)
+    return has_lens and bool(model.use.any()) and len(model.cameras) <= MOST_VIEWS
 
 
 def _principal_points(model: Model, equations: _Equations, centre_sigma: float) -> dict[int, _PrincipalPoint]:
@@ -169,7 +171,10 @@ def _derivatives_at(camera: Camera, x: Float64s) -> tuple[Float64s, Float64s]:
     Y = np.column_stack([(undistorted - camera.K[:2, 2]) / camera.K[0, 0], np.ones(len(x))])
     lens = np.tile([camera.K[0, 0], *camera.radial], (len(x), 1))
     by_point, by_lens = _derivatives(Y, lens)
-    by_rotation = np.stack([(by_point @ np.cross(np.eye(3)[axis], Y)[:, :, None])[:, :, 0] for axis in range(3)], axis=2)
+    by_axis = []
+    for axis in np.eye(3):  # a small rotation about an axis moves a point by axis x Y
+        by_axis.append((by_point @ np.cross(axis, Y)[:, :, None])[:, :, 0])
+    by_rotation = np.stack(by_axis, axis=2)
     by_centre = np.tile(np.eye(2), (len(x), 1, 1))
     return by_rotation.reshape(-1, 3), np.concatenate([by_centre, by_lens], axis=2).reshape(-1, 5)
 
@@ -229,7 +234,8 @@ def _equations(model: Model) -> _Equations:
     for k in range(len(H)):
         own = part[point_of] == k
         members = np.flatnonzero(part == k)
-        H[k] = _reduced(J[own], P[own], inverse[members], columns[view_of[own]], np.searchsorted(members, point_of[own]), size)
+        own_points = np.searchsorted(members, point_of[own])  # numbered within the part
+        H[k] = _reduced(J[own], P[own], inverse[members], columns[view_of[own]], own_points, size)
     solved, centres = _solved_columns(model, views, lens_ids, columns)
     return _Equations(H, pulls, {view: columns[k] for k, view in enumerate(views)}, solved, centres)
 
@@ -271,13 +277,17 @@ def _solve_columns(equations: _Equations, columns: Int64s) -> tuple[Float64s, Fl
     pulls = equations.pulls[:, columns]
     total = H.sum(axis=0)
     total[np.diag_indices_from(total)] *= 1 + _REGULARISATION
+    # Parameters have different units: inverted with a unit diagonal, and scaled back.
     scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
     scale = scale[:, None] * scale
     covariance = np.linalg.inv(total * scale) * scale
     step = covariance @ pulls.sum(axis=0)
     part_inverse = np.linalg.inv((total - (1 - _KEPT_SHARE) * H) * scale) * scale
     change = (1 - _KEPT_SHARE) * (part_inverse @ (pulls - H @ step)[:, :, None])[:, :, 0]
-    by_noise, moves, steps = (np.zeros_like(equations.H[0]), np.zeros_like(equations.pulls), np.zeros_like(equations.pulls[0]))
+    # All of them are of all parameters; those that were not solved stay where they are.
+    by_noise = np.zeros_like(equations.H[0])
+    moves = np.zeros_like(equations.pulls)
+    steps = np.zeros_like(equations.pulls[0])
     by_noise[np.ix_(columns, columns)] = covariance
     moves[:, columns] = change * np.sqrt((len(H) - 1) / len(H))
     steps[columns] = step
@@ -307,7 +317,7 @@ def _linearised(model: Model, views: list[int], rows: Int64s, view_of: Int64s) -
     lens = np.array([[camera.K[0, 0], *camera.radial] for camera in cameras])[view_of]
     Y = np.einsum("nij,nj->ni", R, model.X[model.tracks.track[rows]] - C)
     by_point, by_lens = _derivatives(Y, lens)
-    by_rotation = np.stack([np.einsum("nij,nj->ni", by_point, np.cross(np.eye(3)[axis], Y)) for axis in range(3)], axis=2)
+    by_rotation = np.stack([np.einsum("nij,nj->ni", by_point, np.cross(axis, Y)) for axis in np.eye(3)], axis=2)
     P = by_point @ R
     x = Y[:, :2] / Y[:, 2:]
     r2 = (x * x).sum(axis=1)

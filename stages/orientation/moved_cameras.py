@@ -62,10 +62,12 @@ def find_moved_cameras(cameras: Mapping[str, Camera], constraints: PoseConstrain
             if new_pose is not None:
                 candidates[name] = new_pose
         if not candidates:
-            return moved if 2 * len(moved) < len(cameras) else {}
+            if 2 * len(moved) >= len(cameras):
+                return {}
+            return moved
 
         # 2. The one whose new pose leaves the fewest contradictions.
-        name = min(candidates, key=lambda n: (candidates[n].contradictions, -candidates[n].support))
+        name = min(candidates, key=lambda other: (candidates[other].contradictions, -candidates[other].support))
 
         # 3. A rival explains as much.  If it has no case without this camera, either of both may have moved.
         without_it = remaining.without({name})
@@ -155,7 +157,8 @@ def _initial_poses(
 
 def _pose(name: str, cameras: Mapping[str, Camera], pair: Pair, geometry: Geometry) -> tuple[Float64s, Float64s, Float64s] | None:
     """R of a camera according to a pair, the partner's centre, and the direction (3,) from there to the camera."""
-    R, t = geometry.cam2_R_cam1, geometry.cam2_t_cam1
+    R = geometry.cam2_R_cam1
+    t = geometry.cam2_t_cam1
     if R is None or t is None:
         return None
     if pair[1] == name:

@@ -117,8 +117,9 @@ class PoseConstraints:
 
     def without(self, names: set[str]) -> PoseConstraints:
         """The constraints that involve none of some cameras."""
-        pairs = {pair: g for pair, g in self.pairs.items() if not set(pair) & names}
-        return PoseConstraints(pairs, tuple(t for t in self.triplets if not set(t.cameras) & names))
+        pairs = {pair: geometry for pair, geometry in self.pairs.items() if names.isdisjoint(pair)}
+        triplets = [triplet for triplet in self.triplets if names.isdisjoint(triplet.cameras)]
+        return PoseConstraints(pairs, tuple(triplets))
 
     def evidence(self, cameras: Mapping[str, Camera], camera: str = "") -> list[Evidence]:
         """Evidence from all constraints, or from those that involve `camera`."""
@@ -223,12 +224,13 @@ def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float |
     found: list[tuple[float, float]] = []
     for third in reversed(triplet.cameras):
         x, X = seen_points(cameras, triplet, third)
-        if len(x) >= MIN_SHARED:
-            rays1, rays2 = (X - cameras[name].C for name in triplet.cameras if name != third)
-            angle = float(np.median(ray_angles(rays1, rays2)))
-            projected, _ = project(cameras[third], X)
-            error_px = float(np.median(np.linalg.norm(projected - x, axis=1)))
-            found.append((angle, error_px))
+        if len(x) < MIN_SHARED:
+            continue
+        first, second = (name for name in triplet.cameras if name != third)
+        angle = float(np.median(ray_angles(X - cameras[first].C, X - cameras[second].C)))
+        projected, _ = project(cameras[third], X)
+        error_px = float(np.median(np.linalg.norm(projected - x, axis=1)))
+        found.append((angle, error_px))
     if not found:
         return None
     _, error_at_widest = max(found, key=lambda angle_and_error: angle_and_error[0])
@@ -238,7 +240,7 @@ def triplet_error_px(cameras: Mapping[str, Camera], triplet: Triplet) -> float |
 def seen_points(cameras: Mapping[str, Camera], triplet: Triplet, name: str) -> tuple[Float64s, Float64s]:
     """(n, 2) pixels of one camera of a triplet, and (n, 3) the points triangulated from the other two."""
     k = triplet.cameras.index(name)
-    i, j = (n for n in range(3) if n != k)
+    i, j = sorted({0, 1, 2} - {k})
     X = _intersections(cameras[triplet.cameras[i]], cameras[triplet.cameras[j]], triplet.x[i], triplet.x[j])
     good = np.isfinite(X[:, 0])
     return triplet.x[k][good], X[good]
@@ -308,7 +310,9 @@ def without_baseline(
             angle = float(np.degrees(np.median(ray_angles(rays1, rays2))))
         if np.isfinite(angle):
             angles[pair] = angle
-    covered = {name for pair in angles for name in pair}
+    covered: set[str] = set()
+    for pair in angles:
+        covered.update(pair)
     if covered != set(names) or max(angles.values()) >= min_angle_deg:
         return None
     widest = max(angles, key=angles.__getitem__)

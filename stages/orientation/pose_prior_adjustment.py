@@ -65,14 +65,15 @@ def adjust_within_priors(
         the standard deviations allow.
     trusted : whether the matches contain no look-alikes: each pair then has the weight of a confirmed one.
     """
-    pairs = _allowed_matches(cameras, sigmas, geometries, MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE)
+    least_share = MIN_SHARE_OF_TRUSTED if trusted else MIN_SHARE
+    pairs = _allowed_matches(cameras, sigmas, geometries, least_share)
     adjustable = {name: sigmas[name] for name in cameras if not sigmas.get(name, Sigma()).exact}
     stated_only = AdjustedPoses.as_stated(cameras, adjustable)
     if not pairs or not adjustable:
         return stated_only
     names = tuple(cameras)
     number = {name: k for k, name in enumerate(names)}
-    stated = {number[name]: camera for name, camera in cameras.items()}
+    stated = dict(enumerate(cameras.values()))
     confirmed = set(pairs)
     if not trusted:
         triplets = PoseConstraints.of(names, pairs).triplets
@@ -81,9 +82,11 @@ def adjust_within_priors(
             confirmed.update(combinations(triplet.cameras, 2))
     while True:
         # 1. Adjust all that may move.
-        tracks = build_tracks({(number[a], number[b]): geometry for (a, b), geometry in pairs.items()}, len(names))
+        edges = {(number[left], number[right]): geometry for (left, right), geometry in pairs.items()}
+        tracks = build_tracks(edges, len(names))
         weight = sum(WEIGHT_CONFIRMED if pair in confirmed else WEIGHT_UNCONFIRMED for pair in pairs)
-        solved, problem = _most_probable(stated, {number[name]: sigma for name, sigma in adjustable.items()}, tracks, weight)
+        free = {number[name]: sigma for name, sigma in adjustable.items()}
+        solved, problem = _most_probable(stated, free, tracks, weight)
         adjusted = {name: solved[number[name]] for name in names}
 
         # 2. Has any left the range that its standard deviations allow?

@@ -81,8 +81,12 @@ def solve_from_pairs(
     if not main.placed and len(exact) >= 2:
         # No solved model is aligned with the known cameras, which are the main part by themselves.
         metric = all(placements[name].metric for name in exact)
-        main = replace(main, metric=metric, scale="calibration" if metric else "calibration, not metric", placed=True)
-    cameras = _cameras_of(graph, worlds, exact if main.placed else {}, stated if main.placed else {})
+        scale = "calibration" if metric else "calibration, not metric"
+        main = replace(main, metric=metric, scale=scale, placed=True)
+    if main.placed:
+        cameras = _cameras_of(graph, worlds, exact, stated)
+    else:
+        cameras = _cameras_of(graph, worlds, {}, {})
 
     # 4. Judge every pair by the cameras.
     checks = {}
@@ -313,11 +317,13 @@ def _why_unsolved(graph: ViewGraph, name: str, dropped: Mapping[Edge, Rejected],
     if not own_edges:
         return "no pair with it has a geometry"
     if all(edge in dropped for edge in own_edges):
-        several = len(own_edges) > 1
+        none_is = f"none of its {len(own_edges)} pairs is"
+        each = f"each of its {len(own_edges)} pairs"
+        if len(own_edges) == 1:
+            none_is = "its only pair is not"
+            each = "its only pair"
         if all(_lacks_evidence(dropped[edge]) for edge in own_edges):
-            none_is = f"none of its {len(own_edges)} pairs is" if several else "its only pair is not"
             return f"{none_is} reliable: too few distinctive matches, and no third camera confirms them"
-        each = f"each of its {len(own_edges)} pairs" if several else "its only pair"
         return f"{each} contradicts the others"
     if name in unsupported:
         return "the pose from its shared points contradicts the pairs with the most matches"
@@ -368,10 +374,14 @@ def without_unsupported(model: Model, geometries: Mapping[Edge, Geometry], max_e
         # Of each camera that may be removed: inliers of pairs that agree with it, minus those of pairs that contradict it.
         balance = dict.fromkeys((first[view] for view in model.cameras if view not in model.held), 0)
         for (i, j), geometry in geometries.items():
-            if i in model.cameras and j in model.cameras:
-                agrees = undistorted_error_px(model.cameras[i], model.cameras[j], geometry) <= max_epipolar_px
-                for view in balance.keys() & {first[i], first[j]}:
-                    balance[view] += geometry.inliers if agrees else -geometry.inliers
+            if i not in model.cameras or j not in model.cameras:
+                continue
+            error_px = undistorted_error_px(model.cameras[i], model.cameras[j], geometry)
+            inliers = geometry.inliers
+            if not error_px <= max_epipolar_px:  # "not": it may be nan
+                inliers = -inliers
+            for view in balance.keys() & {first[i], first[j]}:
+                balance[view] += inliers
         # The worst camera goes, and the rest is adjusted without it, before the next is judged.
         worst = min(balance, key=lambda view: (balance[view], view), default=None)
         if worst is None or balance[worst] >= 0:

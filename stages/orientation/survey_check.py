@@ -41,7 +41,9 @@ def check_survey(poses: Poses, views: Mapping[str, View], placements: Mapping[st
     points: dict[str, tuple[float, float]] = {}
     if survey.points:
         points = _points_off(cameras, centres, views, survey, slack)
-    units = {} if survey.crs else _units_off(centres)
+    units: dict[str, tuple[float, float]] = {}
+    if not survey.crs:
+        units = _units_off(centres)
     return replace(poses, distances_off=distances, points_off=points, units_off=units)
 
 

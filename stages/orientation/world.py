@@ -79,12 +79,16 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     depth = _median_depth(model)
     scale = _scale_of_distances(graph, cameras, survey)
     is_scaled = scale is not None
-    scale_source = "known distances" if is_scaled else "none: the median baseline is set to 1, and the cloud is not metric"
+    scale_source = "none: the median baseline is set to 1, and the cloud is not metric"
+    if is_scaled:
+        scale_source = "known distances"
 
     # 2. Align it.  Two landmarks determine the scale, and then distances are only checked.
     alignment = None
-    if landmarks:
-        alignment = align(landmarks, up, depth, scale if len(landmarks) < 2 else None)
+    if len(landmarks) == 1:
+        alignment = align(landmarks, up, depth, scale)
+    elif landmarks:
+        alignment = align(landmarks, up, depth)
     if alignment is None:
         # Without a scale, a model cannot be placed relative to several known positions.
         is_placed = bool(landmarks) and (is_scaled or _known_positions(graph, placements) == 1)
@@ -117,7 +121,9 @@ def to_world(graph: ViewGraph, model: Model, placements: Mapping[str, Placement]
     else:
         model = _refined_to_positions(model, agreeing, depth * alignment.similarity.scale)
     metric = is_scaled or all(p.metric for p in known.values() if p.C is not None)
-    source = "known distances" if len(landmarks) < 2 else _source(alignment.trusted, len(landmarks))
+    source = "known distances"
+    if len(landmarks) > 1:
+        source = _source(alignment.trusted, len(landmarks))
     suspects, doubtful = _deviation_messages(alignment, exact_names)
     return World(model, True, metric, source, suspects, doubtful)
 
@@ -241,6 +247,7 @@ def _median_depth(model: Model) -> float:
 
 
 def _suspect_message(name: str, length: float, degrees: float) -> str:
+    """What to say about a known position that is left out; degrees: nan if no rotation is known."""
     rotation = "" if np.isnan(degrees) else f" and {degrees:.1f} degrees"
     subject = name if name.startswith("control point") else f"the known pose of {name}"
     return f"{subject} contradicts the images: it seems off by {length:.3g} m{rotation}; left out"
@@ -332,7 +339,9 @@ def fit_similarity(landmarks: Sequence[Landmark], up: Float64s, scale: float | N
     # 1. Weights: exact landmarks count as if they had a tenth of the smallest sigma.
     sigmas = np.array([landmark.sigma for landmark in landmarks])
     known_sigmas = sigmas[sigmas > 0]
-    exact_sigma = 0.1 * known_sigmas.min() if len(known_sigmas) else 1.0
+    exact_sigma = 1.0
+    if len(known_sigmas):
+        exact_sigma = 0.1 * known_sigmas.min()
     weight = 1 / np.where(sigmas > 0, sigmas, exact_sigma) ** 2
     weight /= weight.sum()
 
@@ -386,7 +395,7 @@ def _subsets(landmarks: Sequence[Landmark], scale: float | None) -> list[Sequenc
     if scale is not None:
         subsets += [[landmark] for landmark in oriented]
     # Two positions leave a rotation about the line through them, which a known rotation determines.
-    pairs = (pair for pair in combinations(landmarks, 2) if any(mark.world_R is not None for mark in pair))
+    pairs = ((a, b) for a, b in combinations(landmarks, 2) if a.world_R is not None or b.world_R is not None)
     subsets += islice(pairs, MOST_TRIALS)
     subsets += islice(combinations(landmarks, 3), MOST_TRIALS)
     return [subset for subset in subsets if subset]
