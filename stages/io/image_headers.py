@@ -138,25 +138,35 @@ def is_video(data: bytes) -> bool:
 
 
 EXIF_POINTER = 0x8769
+"""EXIF tag: where the directory of photographic data lies."""
 FOCAL_LENGTH_35MM = 0xA405
+"""EXIF tag: the focal length, millimetres, of a lens with the same field of view on a film of 36 mm x 24 mm."""
 TAKEN = 0x9003
-"""EXIF tags: the directory of photographic data, the focal length for a film of 36 mm x 24 mm, and the time of the picture."""
+"""EXIF tag: when the picture was taken (DateTimeOriginal)."""
 FILM_WIDTH_MM = 36.0
+"""Long side of that film."""
 
 
 def focal_in_long_sides(data: Uint8s) -> float | None:
     """Focal length as a multiple of the image's long side; None if the file doesn't state it.  data: the encoded bytes."""
     _, millimetres = _exif(data, FOCAL_LENGTH_35MM, 2)
-    return millimetres / FILM_WIDTH_MM if millimetres else None
+    if not millimetres:  # 0 means unknown
+        return None
+    return millimetres / FILM_WIDTH_MM
 
 
 def taken_at(captures: Sequence[Capture]) -> list[datetime]:
     """When captures were taken according to the camera (EXIF DateTimeOriginal); captures without that are skipped."""
-    moments = [_time_taken(capture.data) for capture in captures]
-    return [moment for moment in moments if moment is not None]
+    moments = []
+    for capture in captures:
+        moment = _time_taken(capture.data)
+        if moment is not None:
+            moments.append(moment)
+    return moments
 
 
 def _time_taken(data: Uint8s) -> datetime | None:
+    """When a picture was taken, by its EXIF data; None if that does not say."""
     tiff, start = _exif(data, TAKEN, 4)
     if start is None:
         return None
@@ -215,10 +225,12 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
             width, height = struct.unpack_from("<ii", data, 18)
         elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
             return _webp_size(data)
-        elif header := _PNM_HEADER.match(data[:4096]):
-            width, height = int(header[1]), int(header[2])
         else:
-            return None
+            header = _PNM_HEADER.match(data[:4096])
+            if header is None:
+                return None
+            width = int(header[1])
+            height = int(header[2])
     except struct.error:
         return None
     return abs(width), abs(height)  # the height of a BMP is negative if its first row is the top one
@@ -245,6 +257,7 @@ _MOST_ENTRIES = 4096
 
 
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
+    """Size of the first picture of a TIFF."""
     tags = _tiff_tags(data)
     if _WIDTH in tags and _HEIGHT in tags:
         return tags[_WIDTH], tags[_HEIGHT]
@@ -257,10 +270,14 @@ def _tiff_tags(data: bytes) -> dict[int, int]:
     Raises struct.error if the directory is not there.
     """
     byte_order = "<" if data[:2] == b"II" else ">"
+    # `struct` formats of offsets and of the number of entries, and where the offset of the directory lies
+    pointer = "I"
+    count_format = "H"
+    header = 4
     if data[2:4] in {b"+\0", b"\0+"}:  # BigTIFF
-        pointer, count_format, header = "Q", "Q", 8
-    else:
-        pointer, count_format, header = "I", "H", 4
+        pointer = "Q"
+        count_format = "Q"
+        header = 8
     (directory,) = struct.unpack_from(byte_order + pointer, data, header)
     (entries,) = struct.unpack_from(byte_order + count_format, data, directory)
     room = struct.calcsize(pointer)
