@@ -74,9 +74,12 @@ class Ledger:
                 self.faults.append(f"{work.ledger} could not be used ({error}): rebuilt from receipts and records")
             elif writes:
                 raise
-            for path in work.ledger_files() if writes else ():
-                clear(path)
-            self._open("rwc" if writes else "memory")
+            if writes:
+                for path in work.ledger_files():
+                    clear(path)
+                self._open("rwc")
+            else:
+                self._open("memory")
 
     def __enter__(self) -> Ledger:
         return self
@@ -86,7 +89,10 @@ class Ledger:
 
     def record_artifacts(self, receipts: Iterable[Receipt]) -> None:
         """Index finished tasks."""
-        rows = [(r.key, r.preimage.stage, r.task, r.bytes, r.wall, r.peak_rss_mb, r.finished) for r in receipts]
+        rows = []
+        for receipt in receipts:
+            cost = (receipt.bytes, receipt.wall, receipt.peak_rss_mb)
+            rows.append((receipt.key, receipt.preimage.stage, receipt.task, *cost, receipt.finished))
         with self._db:
             self._db.executemany("insert or replace into artifacts values (?,?,?,?,?,?,?)", rows)
 
@@ -123,16 +129,21 @@ class Ledger:
         """Return the time, memory and disk space that the newest tasks took."""
         query = f"select stage, task, wall, peak_mb, bytes from artifacts order by finished desc limit {_MOST_TASKS}"
         oldest_first = self._db.execute(query).fetchall()[::-1]
-        by_stage = defaultdict[str, list[tuple[float, float, int]]](list)
-        for stage, _, *cost in oldest_first:
-            by_stage[stage].append(tuple(cost))
-        return TaskCosts(
-            stages={stage: median(wall for wall, _, _ in costs) for stage, costs in by_stage.items()},
-            stages_mb={stage: max(peak_mb for _, peak_mb, _ in costs) for stage, costs in by_stage.items()},
-            tasks={task: wall for _, task, wall, _, _ in oldest_first},
-            tasks_mb={task: peak_mb for _, task, _, peak_mb, _ in oldest_first},
-            stages_bytes={stage: fmean(size for _, _, size in costs) for stage, costs in by_stage.items()},
-        )
+        walls: dict[str, list[float]] = defaultdict(list)  # by stage
+        sizes: dict[str, list[int]] = defaultdict(list)
+        stages_mb: dict[str, float] = {}
+        tasks: dict[str, float] = {}
+        tasks_mb: dict[str, float] = {}
+        for stage, task, wall, peak_mb, size in oldest_first:
+            walls[stage].append(wall)
+            sizes[stage].append(size)
+            stages_mb[stage] = max(peak_mb, stages_mb.get(stage, 0.0))
+            # later ones replace earlier ones: a task has the costs of its last run
+            tasks[task] = wall
+            tasks_mb[task] = peak_mb
+        stages = {stage: median(values) for stage, values in walls.items()}
+        stages_bytes = {stage: fmean(values) for stage, values in sizes.items()}
+        return TaskCosts(stages, stages_mb, tasks, tasks_mb, stages_bytes)
 
     def forget(self, keys: Iterable[str]) -> None:
         """Remove artifacts from the index, after their files have been removed."""
@@ -142,19 +153,26 @@ class Ledger:
 
     def _open(self, mode: str) -> None:
         """Open the ledger on disk, or build one in memory; raises sqlite3.DatabaseError if it is damaged or of another format."""
-        if mode != "memory" and any(os.path.lexists(path) and not path.is_file() for path in self._work.ledger_files()):
-            raise sqlite3.DatabaseError("it is no file")
+        if mode != "memory":
+            for path in self._work.ledger_files():
+                if os.path.lexists(path) and not path.is_file():
+                    raise sqlite3.DatabaseError("it is no file")
         self._db = sqlite3.connect(f"{self._work.ledger.resolve().as_uri()}?mode={mode}", uri=True, timeout=_BUSY_TIMEOUT_S)
         try:
-            (version,), (check,) = (self._db.execute(f"pragma {name}").fetchone() for name in ("user_version", "quick_check"))
-            if check != "ok" or version not in ({_FORMAT} if mode == "ro" else {0, _FORMAT}):
-                raise sqlite3.DatabaseError(f"form {version}" if check == "ok" else check)
+            (version,) = self._db.execute("pragma user_version").fetchone()
+            (check,) = self._db.execute("pragma quick_check").fetchone()
+            if check != "ok":
+                raise sqlite3.DatabaseError(check)
+            is_new = version == 0 and mode != "ro"
+            if version != _FORMAT and not is_new:
+                raise sqlite3.DatabaseError(f"form {version}")
             if mode == "rwc":
                 self._db.executescript("pragma journal_mode = wal; pragma synchronous = normal")
             if version != _FORMAT:
                 self._db.executescript(_SCHEMA)
                 self.record_artifacts(Cache(self._work).receipts())
                 self.catch_up()
+                # last: a ledger whose process was killed before has version 0, and is filled again
                 self._db.execute(f"pragma user_version = {_FORMAT}")
         except (sqlite3.Error, OSError):
             self._db.close()

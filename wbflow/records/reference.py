@@ -16,7 +16,7 @@ from typing import Any
 from ..cache.checksum import Damaged, read_checksummed
 from ..cache.layout import WorkFolder
 from ..errors import WbflowError
-from ..task import Task
+from ..task import Subject, Task
 
 IDENTITY = "reference"
 """What the checksummed record says that it is."""
@@ -61,14 +61,23 @@ class Reference:
 
     def lines(self) -> list[str]:
         """Return what is pinned as text lines."""
+        usable: dict[Subject, list[str]] = {}  # names of stages by subject
+        rejected: dict[Subject, list[str]] = {}
+        for task, pinned in self.artifacts.items():
+            usable.setdefault(task.subject, [])
+            if pinned.outcome == "rejected":
+                rejected.setdefault(task.subject, []).append(task.stage)
+            else:
+                usable[task.subject].append(task.stage)
         how = "automatically" if self.automatic else "by hand"
         lines = [f"run {self.run}, night of {self.date}, pinned {how}"]
-        for subject in dict.fromkeys(task.subject for task in self.artifacts):
-            pinned = [p for t, p in self.artifacts.items() if t.subject == subject]
-            usable = ", ".join(p.task.stage for p in pinned if p.outcome != "rejected")
-            rejected = ", ".join(p.task.stage for p in pinned if p.outcome == "rejected")
-            unsolved = " (not placed)" if subject and subject[0] in self.cameras and not self.cameras[subject[0]] else ""
-            lines.append(f"  {'--'.join(subject) or 'site':24} {usable}{f'; rejected: {rejected}' if rejected else ''}{unsolved}")
+        for subject, stages in usable.items():
+            line = f"  {'--'.join(subject) or 'site':24} {', '.join(stages)}"
+            if subject in rejected:
+                line += f"; rejected: {', '.join(rejected[subject])}"
+            if subject and self.cameras.get(subject[0]) == {}:
+                line += " (not placed)"
+            lines.append(line)
         return lines
 
     def to_json(self) -> dict[str, Any]:
@@ -93,15 +102,19 @@ def read_reference(work: WorkFolder) -> Reference | None:
     try:
         return read_record(work.reference_record) or read_record(work.reference_twin)
     except BadReference:
-        if twin := read_record(work.reference_twin):
+        twin = read_record(work.reference_twin)
+        if twin:
             return twin
         raise
 
 
 def read_record(path: Path) -> Reference | None:
+    """Return the reference in a file, the record or its twin; None if there is none.  Raises BadReference."""
     try:
         data = read_checksummed(path, IDENTITY)
-        return Reference.from_json(data) if data else None
+        if not data:
+            return None
+        return Reference.from_json(data)
     except Damaged as damage:
         raise BadReference(damage.what, remedy=_PIN_AGAIN) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -30,6 +30,7 @@ _POLL_SECONDS = 0.05
 
 def nights_with_captures(site: Site) -> set[datetime.date]:
     """The nights, from the file names, for which any camera has a capture."""
+    # what the site file lists by name belongs to no night
     ids = [camera.id for camera in site.cameras if camera.images is None]
     reads = ((name, functools.partial(_moments, site, name)) for name in ids)
     moments: set[datetime.datetime] = set()
@@ -299,8 +300,9 @@ def when_complete(
     A capture counts as complete when nothing was written to it for `QUIET_SECONDS`.
     """
     end = time.monotonic() + MOST_WAIT_SECONDS
-    readable = [file.path for files in captures.values() for file in files if file.digest]
-    growing = {path for path in readable if _is_written(path)}
+    growing: set[Path] = set()
+    for files in captures.values():
+        growing |= {file.path for file in files if file.digest and _is_written(file.path)}
     waited_for = set(growing)
     # a file that was quiet once is complete: only those that were still growing are looked at again
     while growing and time.monotonic() < end:

@@ -20,15 +20,15 @@ def check_poses(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     yield from _contradicted(poses, record)
     uncertain = poses.issues_of("uncertain")
     if uncertain:
-        row_px = max(issue.row_px or 0.0 for issue in uncertain.values())
+        row_px = _largest(uncertain, "row_px")
         yield finding("poses-uncertain", tuple(uncertain), {"row_px": row_px}, row_px=row_px, cameras=listed(uncertain))
     inconsistent = poses.issues_of("inconsistent")
     if inconsistent:
         yield _inconsistent_finding(inconsistent)
     lenses = poses.issues_of("lens-undetermined")
     if lenses:
-        focal = max(issue.focal or 0.0 for issue in lenses.values())
-        border_px = max(issue.border_px or 0.0 for issue in lenses.values())
+        focal = _largest(lenses, "focal")
+        border_px = _largest(lenses, "border_px")
         figures = {"focal": focal, "border_px": border_px}
         words = {"cameras": listed(lenses), "focal_percent": 100 * focal, "border_px": border_px}
         yield finding("lens-undetermined", tuple(lenses), figures, None, None, **words)
@@ -48,10 +48,15 @@ def _contradicted(poses: PosesSummary, record: RunRecord) -> Iterator[Finding]:
         yield finding("poses-contradicted", cameras, reason=reason)
 
 
+def _largest(issues: Mapping[str, PoseIssue], figure: str) -> float:
+    """The largest value of a figure of some issues; those without it count as 0."""
+    return max(getattr(issue, figure) or 0.0 for issue in issues.values())
+
+
 def _inconsistent_finding(issues: Mapping[str, PoseIssue]) -> Finding:
     """Return the finding about cameras whose pairs would rather have other poses, by camera."""
-    strain = max(issue.strain or 0.0 for issue in issues.values())
-    excess_px = max(issue.excess_px or 0.0 for issue in issues.values())
+    strain = _largest(issues, "strain")
+    excess_px = _largest(issues, "excess_px")
     figures = {}
     if strain:
         figures["strain"] = strain

@@ -47,7 +47,10 @@ A model's position in this table is its COLMAP id, which binary models contain.
 
 def is_colmap(folder: Path) -> bool:
     """Does a folder contain a COLMAP model, or a part of one?"""
-    return any(is_file(folder / f"{name}.{suffix}") for name in ("cameras", "images") for suffix in ("txt", "bin"))
+    for name in ("cameras.txt", "cameras.bin", "images.txt", "images.bin"):
+        if is_file(folder / name):
+            return True
+    return False
 
 
 def read_colmap(folder: Path) -> dict[str, Calibrated]:

@@ -145,7 +145,9 @@ def _pose(camera: Element, world: Element, chunk: Element) -> dict[str, Any]:
     _refuse_geocentric(chunk)
     # C = scale * world_rotation * position + translation
     world_rotation, translation, scale = _similarity(to_world)
-    moved = [sum(world_rotation[i][k] * position[k] for k in range(3)) * scale + translation[i] for i in range(3)]
+    moved = []
+    for row, shift in zip(world_rotation, translation, strict=True):
+        moved.append(sum(row[k] * position[k] for k in range(3)) * scale + shift)
     return {"R": turned_axes(product(world_rotation, rotation), 1.0), "C": moved}
 
 

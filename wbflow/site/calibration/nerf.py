@@ -58,8 +58,9 @@ def read_transforms(data: dict[str, Any]) -> dict[str, Calibrated]:
         if not name or name in cameras:
             what = f"frames.{number} has {'the same file_path as another' if name else 'no file_path'}"
             raise Faulty(what, location, "give the name of its picture")
-        own = {key: value for key, value in frame.items() if key != "file_path"}
-        values = _with_focal_lengths({**shared, **own}, location, name)
+        own = {**shared, **frame}
+        del own["file_path"]
+        values = _with_focal_lengths(own, location, name)
         if "transform_matrix" in values:
             values["convention"] = "opengl"
         entry = Entry(values, location, name)

@@ -38,14 +38,19 @@ def read_stereo(data: dict[str, Any]) -> dict[str, Calibrated]:
     whole = Entry(data)
     cameras: dict[str, Calibrated] = {}
     # the file has one size for both cameras, and one pose: the right camera's
-    size = {key: value for key, value in data.items() if plain(str(key)) in _SIZE_KEYS}
-    pose = {key: value for key, value in data.items() if key in {"R", "T", "t"}}
+    size = {}
+    pose = {}
+    for key, value in data.items():
+        if plain(str(key)) in _SIZE_KEYS:
+            size[key] = value
+        elif key in {"R", "T", "t"}:
+            pose[key] = value
     for number, name in enumerate(_NAMES, 1):
         own = {}
         for lens_key in _LENS_KEYS:
-            key = whole.key(_names(lens_key, number))
-            if key is not None:
-                own[lens_key] = whole[key]
+            key_in_file = whole.key(_names(lens_key, number))
+            if key_in_file is not None:
+                own[lens_key] = whole[key_in_file]
         own |= size
         if number == 2:
             own |= pose
