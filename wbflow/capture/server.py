@@ -33,6 +33,7 @@ Shot = tuple[bytes, float | None]
 MOST_PICTURE_BYTES = 100_000_000
 """Largest picture that is read, bytes."""
 _CHUNK_BYTES = 65536
+"""Most bytes of an answer that are read at once."""
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"
 _JPEG_START = b"\xff\xd8\xff"
@@ -114,9 +115,8 @@ def _pictures(response: requests.Response) -> Iterator[tuple[bytes, str]]:
 
     Raises OSError if the response ends without any, and with a part of one.
     """
-    jpeg_end = load("wbflow_stages.io.image_headers:jpeg_end")
-    data = bytearray()
-    searched = 0
+    data = bytearray()  # what has arrived behind the last complete picture
+    searched = 0  # how much of it has been searched for the end of a picture
     size = 0
     count = 0
     beginning = b""
@@ -124,15 +124,12 @@ def _pictures(response: requests.Response) -> Iterator[tuple[bytes, str]]:
         size += len(chunk)
         beginning = beginning or bytes(chunk[:60])
         data += chunk
-        while (start := _start(data)) >= 0:
-            if data.startswith(_PNG_START, start):
-                place = data.find(_PNG_END, start)
-                end = place + len(_PNG_END) if place >= 0 else None
-            elif _JPEG_END not in data[max(start, searched - 1) :]:
-                end = None
-            else:
-                end = jpeg_end(bytes(data[start:]))
-                end = start + end if end is not None else None
+        # a chunk may complete several small pictures
+        while True:
+            start = _start(data)
+            end = None
+            if start >= 0:
+                end = _end(data, start, searched)
             if end is None:
                 break
             picture = bytes(data[start:end])
@@ -154,7 +151,10 @@ def _pictures(response: requests.Response) -> Iterator[tuple[bytes, str]]:
 def _chunks(response: requests.Response) -> Iterator[bytes]:
     """The body as it arrives: a picture must not wait until the beginning of the next one fills a buffer."""
     try:
-        while chunk := response.raw.read1(_CHUNK_BYTES, decode_content=True):
+        while True:
+            chunk = response.raw.read1(_CHUNK_BYTES, decode_content=True)
+            if not chunk:
+                return
             yield chunk
     except urllib3.exceptions.ReadTimeoutError:
         raise requests.ReadTimeout from None
@@ -166,6 +166,26 @@ def _start(data: bytearray) -> int:
     """Where the first picture begins; -1 if none does."""
     starts = [place for place in (data.find(_JPEG_START), data.find(_PNG_START)) if place >= 0]
     return min(starts, default=-1)
+
+
+def _end(data: bytearray, start: int, searched: int) -> int | None:
+    """The offset behind the picture that begins at `start`; None if it is not complete yet.
+
+    searched: bytes in which no end was found before.  The structure of a JPEG is read only when new bytes hold an end marker,
+    since that takes as long as the picture is large.
+    """
+    if data.startswith(_PNG_START, start):
+        place = data.find(_PNG_END, start)
+        if place < 0:
+            return None
+        return place + len(_PNG_END)
+    if _JPEG_END not in data[max(start, searched - 1) :]:  # its first byte may have come with the chunk before
+        return None
+    jpeg_end = load("wbflow_stages.io.image_headers:jpeg_end")
+    length = jpeg_end(bytes(data[start:]))
+    if length is None:
+        return None
+    return start + int(length)
 
 
 def _other_answer(response: requests.Response, size: int, beginning: bytes) -> str:
@@ -183,12 +203,17 @@ def _part_time(header: str) -> float | None:
     if stamp:
         return float(stamp[1])
     date = re.search(r"(?im)^date:\s*(.+?)\s*$", header)
-    return _parse_date(date[1]) if date else None
+    if date is None:
+        return None
+    return _parse_date(date[1])
 
 
 def _parse_date(text: str | None) -> float | None:
+    """The Unix time of a date in HTTP's form; None if there is none, or it is no date."""
+    if not text:
+        return None
     try:
-        return email.utils.parsedate_to_datetime(text).timestamp() if text else None
+        return email.utils.parsedate_to_datetime(text).timestamp()
     except (ValueError, TypeError, OverflowError):
         return None
 
@@ -219,7 +244,8 @@ class _Session(requests.Session):
 
 def _is_same_camera(source: str, target: str) -> bool:
     """Is a redirect to the same host, and not from an encrypted connection to a plain one?"""
-    old, new = urllib.parse.urlsplit(source), urllib.parse.urlsplit(target)
+    old = urllib.parse.urlsplit(source)
+    new = urllib.parse.urlsplit(target)
     return old.hostname == new.hostname and (old.scheme, new.scheme) != ("https", "http")
 
 
@@ -244,19 +270,23 @@ class _OnDemand(HTTPDigestAuth):
         """Send a refused request again, once, with the login."""
         if r.status_code != 401 or not _is_same_camera(self._url, str(r.url)):
             return r
+        # 1. a digest, which does not reveal the password
         offers = _challenges(r)
         for offer in offers:
             algorithm = re.search(r'(?i)\balgorithm="?([\w-]+)', offer)
             if offer.lower().startswith("digest") and (algorithm is None or algorithm[1].upper() in _DIGESTS):
                 r.headers["www-authenticate"] = offer
                 return super().handle_401(r, **kwargs)
+        # 2. plainly, unless that has just been refused
         is_basic = any(offer.lower().startswith("basic") for offer in offers)
         if not is_basic or str(r.request.headers.get("Authorization", "")).startswith("Basic"):
             return r
         _ = r.content  # free the connection for the second request
         r.close()
         again = r.request.copy()
-        user, password = (part.encode() for part in (str(self.username), str(self.password)))
+        # as UTF-8: Requests would encode text as Latin-1
+        user = str(self.username).encode()
+        password = str(self.password).encode()
         requests.auth.HTTPBasicAuth(user, password)(again)
         adapter: Any = r.connection
         answer: requests.Response = adapter.send(again, **kwargs)
@@ -276,8 +306,11 @@ def _challenges(response: requests.Response) -> list[str]:
 
 
 def _session(url: str, access: Access) -> requests.Session:
+    """A session for the requests to a camera."""
     session = _Session()
-    session.auth = _OnDemand(url, access.login) if access.login else _NoLogin()
+    session.auth = _NoLogin()
+    if access.login:
+        session.auth = _OnDemand(url, access.login)
     if access.tls is not True:
         session.mount("https://", _Certificates(access.tls))
     return session

@@ -52,7 +52,7 @@ def folder_of(url: str) -> Path:
 def _folder_shots(folder: Path, moments: Sequence[float], patience: float) -> Iterator[Shot]:
     """Yield at each moment the newest file that arrives in a folder from now on; give up `patience` after the last moment."""
     start = time.time()
-    used: set[Path] = set()
+    used: set[Path] = set()  # each file is one picture, however often its camera is asked
     for moment in moments:
         while True:
             time.sleep(max(0.0, moment - time.time()))
@@ -88,6 +88,7 @@ def _checked(data: bytes) -> bytes:
 
 
 def _with_login(url: str, login: Login | None) -> str:
+    """An address that contains the login, as FFmpeg wants it."""
     if login is None:
         return url
     scheme, _, address = url.partition("://")

@@ -82,6 +82,7 @@ def capture(site: Site, listen: Callable[[Delivery], None] = lambda delivery: No
         raise UsageError("captures lie in an object store", remedy="capture into a folder, and copy from there")
     logins = _logins(site)
     site.captures.root.mkdir(parents=True, exist_ok=True)
+    # the same moments for all cameras, from their first connection on: they have to show the same state of the scene
     start = time.time() + _LEAD
     moments = [start + k * settings.seconds / max(settings.frames - 1, 1) for k in range(settings.frames)]
     _check_names(site, entries[0].id, moments)
@@ -161,6 +162,7 @@ def _take(site: Site, delivery: Delivery, url: str, access: Access, moments: lis
         if attempt:
             time.sleep(_BETWEEN_TRIES)
         try:
+            # a further try is for the moments whose pictures are missing
             for shot in shots(url, access, moments[len(delivery.files) :], TIMEOUT_SECONDS):
                 _write(site, delivery, shot)
             delivery.fault = ""

@@ -127,6 +127,7 @@ def event_from_json(line: Mapping[str, Any]) -> Event | None:
     kind = _KINDS.get(line["event"])
     if kind is None:
         return None
+    # fields that an earlier version did not have keep their defaults
     values = {field.name: line[field.name] for field in fields(kind) if field.name in line}
     values["task"] = None
     if "stage" in line:

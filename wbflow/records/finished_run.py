@@ -108,7 +108,7 @@ class Run:
         if event is None or not event.usable or event.key is None:
             return None
         receipt = self.cache.by_key(task, event.key)
-        if receipt is None:
+        if receipt is None:  # removed by a cleanup, or damaged
             raise WbflowError(f"the cache no longer holds '{task}' of run {self.id}", remedy="run the night again")
         return receipt
 

@@ -70,6 +70,7 @@ class Ledger:
         try:
             self._open("rwc" if writes else "ro")
         except sqlite3.DatabaseError as error:
+            # for a reader, a missing ledger is no fault: it is built in memory
             if _is_damage(error):
                 self.faults.append(f"{work.ledger} could not be used ({error}): rebuilt from receipts and records")
             elif writes:
@@ -108,6 +109,7 @@ class Ledger:
 
     def catch_up(self) -> None:
         """Index runs newer than the newest one in the ledger: their process was killed between publishing and indexing."""
+        # ids sort in the order of the runs
         (newest,) = self._db.execute("select max(run) from runs").fetchone()
         for name in self._work.run_ids():
             if name > (newest or ""):

@@ -68,6 +68,7 @@ class RunFolder:
         "latest" (or None) is the run of the newest night; "latest-good" that of the newest night with a cloud whose verdict is
         good or degraded.  Raises NoSuchRun.
         """
+        # links are not trusted alone: they may be missing in a copy, or point to a folder that was removed
         ids = work.run_ids()
         if not ids:
             raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
@@ -275,6 +276,7 @@ def _of_newest_night(work: WorkFolder, link: Path, may_point_to: Callable[[RunFo
             continue
         run = RunFolder(work.run(name))
         night = run.night()
+        # of several runs of one night, the last one
         if night >= newest_night and may_point_to(run):
             newest = name
             newest_night = night

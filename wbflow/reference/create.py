@@ -43,6 +43,7 @@ def pin(cache: Cache, run: RunFolder, automatic: bool = False) -> Reference:
             raise CannotPin(f"the cache no longer holds '{task}' of run {run.id}", remedy=remedy)
         receipts.append(receipt)
     solved = run.cameras()
+    # unsolved cameras are part of it, too: the site of a later night is compared with all of them
     cameras = {camera.id: dict(solved.get(camera.id, {})) for camera in record.cameras}
     reference = Reference(run.id, record.date, cameras, pinned_artifacts(receipts), automatic)
     write_reference(cache, reference, receipts)
@@ -68,5 +69,6 @@ def good_run(work: WorkFolder, name: str | None = None) -> RunFolder:
 
 def fit_to_pin(record: RunRecord) -> bool:
     """Is a run good enough to be pinned without being named?"""
+    # a night is good, too, if what was wrong has been acknowledged; but later nights should not be compared with that
     acknowledged = record.verdict.acknowledged if record.verdict else ()
     return record.exit_code == ExitCode.GOOD and record.cloud is not None and not acknowledged

@@ -94,6 +94,7 @@ class Resolver:
 
         It is absent or empty without a reference, or if tonight's frames are the reference's own.
         """
+        # compared with itself, a night would find that nothing has changed: it is worked on as if there were no reference
         if self.reference is None or self._own_frames.issuperset(task.subject or self.cameras):
             return Joined({}) if need.joins else None
         if need.kind == "history":
@@ -151,6 +152,7 @@ class Resolver:
         for camera in task.subject:
             if self.state_of(camera) in USELESS:
                 raise self._unfit_error(camera)
+        # what was forced to run again would have no effect if a later stage took the reference's result
         if not self._enough_poses_known() or self._forced & ancestors(stage.name):
             return None
         use = self._use(stage.reuse, task)
@@ -268,6 +270,7 @@ class Resolver:
         """How tonight uses the reference's result of a task: the poses of its cameras, or of all useful ones, decide."""
         if len(self._own_frames) == len(self.cameras):  # tonight is the reference's own night
             return "reuse"
+        # a camera that shows nothing tonight does not keep the others from being reused
         cameras = task.subject or [camera for camera in self.cameras if self.state_of(camera) not in USELESS]
         poses = {self._pose_state(camera) for camera in cameras}
         if "lost" in poses:
@@ -300,6 +303,7 @@ class Resolver:
         if self.reference is None or camera_of(camera) not in self.reference.placed:
             return "lost"
         state = self.state_of(camera)
+        # turned by a rotation that was measured: the pose is known as well as before
         for view in self._views[camera_of(camera)]:
             health = self._healths.get(view)
             if health and health.corrected:
@@ -308,7 +312,7 @@ class Resolver:
 
     def _enough_poses_known(self) -> bool:
         """Are the poses of enough cameras known from the reference?  Raises Waiting."""
-        if self._poses_suffice is None:
+        if self._poses_suffice is None:  # asked for each task, and the same for all of them
             known = {camera_of(view) for view in self.cameras if self._pose_state(view) != "lost"}
             self._poses_suffice = len(known) >= FEWEST
         return self._poses_suffice

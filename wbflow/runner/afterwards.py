@@ -34,12 +34,12 @@ def follow_up(run: Run, site: Site, journal: Journal, draw: DrawSite, *, send: b
     send : bool
         May the site's `notify` command be called?  It is not called for the rerun of an old night, which is no news.
     """
-    event_count = len(journal.events)
+    event_count = len(journal.events)  # these are in the published log; what comes now is added to it
     if index(run, site, journal):
         draw(site, journal)
     is_news = RunFolder.of(run.cache.work).id == run.id
-    for send_message in (notify, notify_changes) if send and is_news else ():
-        if site.settings.notify:
+    if send and is_news and site.settings.notify:
+        for send_message in (notify, notify_changes):
             try:
                 send_message(site.settings.notify, site.folder, run)
             except (NotifyFailed, OSError) as error:

@@ -58,7 +58,7 @@ class Inputs:
         if need.kind in {"reference", "history", "previous"}:
             return self.from_reference(need, task)
         if not self._is_made(need):
-            return Joined({}) if need.joins else None
+            return Joined({}) if need.joins else None  # what the function takes for a missing input
         if need.joins:
             return self._join(stage_named(need.name), need, task)
         wanted = stored_input(need, task)
@@ -104,11 +104,12 @@ class Inputs:
         """The results of many tasks, or many entries of a site-wide result, by subject."""
         subjects = self.subjects
         states = self.subjects.states
+        # which tasks there are depends on the pair graph
         needs_pairs = origin.scope == "pair" or need.of in {"around", "near"}
         if needs_pairs and subjects.pairs(origin.dense or origin.scope != "pair") is None:
             raise Waiting(None)
         joined = subjects.joined(origin, need, task)
-        if origin.scope == "site":
+        if origin.scope == "site":  # its entries: one artifact, not many
             return self._entries(Task(origin.name), need.part, [other.subject[0] for other in joined])
         for upstream in reversed(joined):  # the last in the list is usually the last to end
             if upstream not in states:
@@ -164,6 +165,7 @@ class Inputs:
         if len(usable) == 1:
             reason = f"only camera {usable[0]} has a usable capture, a cloud needs two that see the same things{first_fault}"
             return Impossible(reason, Cause.TOO_FEW_CAMERAS)
+        # two cameras or more have captures, so the reason lies between the captures and this stage
         if faults:
             return Impossible(f"no {origin.name} to work on{first_fault}", faults[0].code)
         if origin.scope != "pair":

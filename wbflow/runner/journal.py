@@ -46,6 +46,7 @@ class Journal:
             self._add(
                 TaskEvent(task, state.outcome, now(), state.fresh, state.reason, state.code, key=key, cpu=cpu, trace=state.trace)
             )
+            # of cached results, the receipts state what earlier runs have spent
             if state.fresh and receipt:
                 self._count(task.stage, receipt)
 
@@ -80,7 +81,7 @@ class Journal:
 
     def note_repair(self, what: str, *, task: Task | None = None) -> None:
         """Add a warning of repaired damage on disk, once for each text.  task: the task whose file was damaged."""
-        if what not in self.repairs:
+        if what not in self.repairs:  # several tasks may meet the same damage
             self.repairs[what] = None
             self._add(WarningEvent(what, now(), task, repaired=True))
 
@@ -88,7 +89,7 @@ class Journal:
         """Return the costs of the run until now.  own_process: tasks ran in this process, whose CPU time includes theirs."""
         wall = time.perf_counter() - self._wall_start
         cpu = time.process_time() - self._cpu_start
-        if not own_process:
+        if not own_process:  # the time of other processes is not part of this one's
             cpu += sum(stage.cpu for stage in self._stages.values())
         return Seconds(wall, cpu, self._stages)
 

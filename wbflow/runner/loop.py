@@ -36,6 +36,7 @@ def run_tasks(plan: Plan, options: Options, journal: Journal) -> dict[Task, byte
     except KeyboardInterrupt:
         return None
     finally:
+        # also after an interrupt: what has ended is in the cache, and belongs to the log
         dispatcher.stop()
         loop.note_ended()
         try:
@@ -62,7 +63,7 @@ class _Loop:
         plan = self.plan
         self.journal.listen(PlannedEvent(plan.counts()))
         while True:
-            plan.refresh()
+            plan.refresh()  # what has ended may have made others ready, or told which tasks there are
             if self.stop_at and datetime.datetime.now() >= self.stop_at:
                 self._stop(self.stop_at)
             self.note_ended()
@@ -130,7 +131,7 @@ class _Loop:
     def _make_again(self, task: Task, reason: str) -> None:
         """Have a damaged artifact made again.  Each of its readers reports the damage, but it counts once."""
         plan = self.plan
-        if task not in plan.states:
+        if task not in plan.states:  # another reader has reported it already
             return
         self._attempts[task] += 1
         if self._attempts[task] > MOST_ATTEMPTS:

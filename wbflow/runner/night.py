@@ -42,7 +42,7 @@ class NightFiles:
     def reread(self, path: Path) -> None:
         """Take a new digest of a file that has changed."""
         self.replaced.add(path)
-        self.digests.forget(path)
+        self.digests.forget(path)  # else its stamp may still fit, on disks that count in seconds
         for files in self.captures.values():
             for k, file in enumerate(files):
                 if file.path == path:
@@ -60,6 +60,7 @@ class NightFiles:
         changed = changes_of(self.captures, self.replaced, self.digests)
         if dated:
             return changed, {}
+        # a file that was still being written may have been read in part, so its replacement is no mere overwriting
         unfinished = set()
         for files in self.captures.values():
             unfinished |= {file.name for file in files if file.path in self.growing}

@@ -137,6 +137,7 @@ def _state_of(verdict: Verdict) -> tuple[str, ...]:
         findings = verdict.acknowledged
     if not findings:
         return ()
+    # without figures and texts, which differ every night
     subjects = {" ".join((finding.kind, *finding.subject)) for finding in findings}
     return (level, *sorted(subjects))
 
@@ -152,6 +153,7 @@ def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: No
     if not state or is_acknowledged:
         return last
     since = last.since or now
+    # durations that are over; the largest number so far, in case the site file has fewer now
     due = sum(_seconds(since, now) >= seconds for seconds in config.remind)
     return _Reported(state, since, bad_since, max(due, last.reminders), last.changes)
 

@@ -36,6 +36,7 @@ class Options:
 
     def check(self, site: Site) -> None:
         """Raises UsageError for impossible options."""
+        # options are checked before the work folder is held, so that a mistake is told at once
         names = [stage.name for stage in STAGES]
         if self.until and self.until not in names:
             raise UsageError(f"--until {self.until}: there is no such stage", remedy=_stages_remedy(self.until, names))

@@ -18,7 +18,7 @@ from ..task import Task, names_of
 from .inputs import Inputs
 from .night import Night
 from .spec import Input, ProductFile, TaskSpec
-from .state import Impossible, State, Waiting, cached_state
+from .state import Impossible, Outcome, State, Waiting, cached_state
 from .subjects import Subjects
 
 _DECISIVE = frozenset(Task(name) for name in (PAIRS, POSES, DENSE_PAIRS))
@@ -69,7 +69,8 @@ class Plan:
         self.states[task] = state
         self.ready.pop(task, None)
         self.waiting.pop(task, None)
-        self._force.discard(str(task))
+        self._force.discard(str(task))  # forced once: when it is examined again, its result counts
+        # the resolver first: tasks that are examined next may depend on what it has learned
         self.resolver.task_ended(task)
         self._newly_ended[task] = None
         self._due.extend(self._dependents.pop(task, ()))
@@ -153,11 +154,14 @@ class Plan:
                 return
             spec = self._spec(stage, task, replacement)
         except Waiting as waiting:
+            # examined again when that one has ended
             self.waiting[task] = waiting.task
             self._dependents.setdefault(waiting.task, []).append(task)
             return
         except Impossible as impossible:
-            self.commit(task, State("failed" if stage.name == FRAMES else "skipped", str(impossible), impossible.code))
+            # a camera without captures has failed itself; other tasks lack what an earlier one has not made
+            outcome: Outcome = "failed" if stage.name == FRAMES else "skipped"
+            self.commit(task, State(outcome, str(impossible), impossible.code))
             return
         self.waiting.pop(task, None)
         preimage = spec.preimage()

@@ -62,6 +62,7 @@ class Stored:
         """The same input with file and digests, once its task is done; None if its artifact does not exist or lacks the part."""
         if receipt is None or receipt.file is None:
             return None
+        # the digest of the part alone enters the key: other parts of the artifact may change
         part = self.field if self.entry is None else f"{self.field}[{self.entry}]"
         if not part:
             digest = receipt.digest
@@ -123,6 +124,7 @@ class TaskSpec:
 
     def preimage(self) -> Preimage:
         """Everything that determines the artifact; all inputs must be resolved."""
+        # defaults that are not passed determine the result all the same
         parameters = {**self.parameters, **self.left_to_function}
         digests = input_digests(self.inputs)
         return Preimage(self.task.stage, self.task.subject, self.function, self.code, parameters, digests)
@@ -135,6 +137,7 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
         if value is None:
             digests[name] = ""
         elif isinstance(value, Joined):
+            # one entry each, so that `status` can say which of them has changed
             for subject, item in value.items.items():
                 digests[f"{name} {'--'.join(subject)}"] = item.digest
         else:

@@ -80,6 +80,7 @@ def summary_of(state: State | None, kind: type[_S]) -> _S:
     """
     if state is None or state.receipt is None:
         return kind()
+    # the receipt has the figures: the artifact is not read for them
     try:
         return read_json(kind, state.receipt.figures)
     except ValidationError:

@@ -51,6 +51,7 @@ class Subjects:
 
     def is_unmatched(self, task: Task) -> bool:
         """Does the stage not work on this pair, because the pair was chosen for dense matching without having been matched?"""
+        # without a choice of its own, dense matching works on the matched pairs
         if not self.dense_chosen or len(task.subject) != 2 or stage_named(task.stage).dense:
             return False
         graph = self._graph(dense=False)
@@ -117,6 +118,7 @@ class Subjects:
             return None
         if task.stage == DENSE_PAIRS and not state.usable:
             return self._graph(dense=False)
+        # the state is replaced if the artifact was damaged and made again
         if task not in self._graphs or self._graphs[task].state is not state:
             self._graphs[task] = _PairGraph(state)
         return self._graphs[task]

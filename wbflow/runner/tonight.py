@@ -20,8 +20,9 @@ def read_night(site: Site, options: Options) -> Night:
     work = site.work_folder
     digests = Digests(work.captures_memo)
     earlier = EarlierCaptures(work.delivered_memo)
-    list_store(site)
+    list_store(site)  # first: the mirror of an object store is searched like any folder from here on
     date = night(site, options.date)
+    # a camera may still be writing; what stands still is complete
     captures, growing = when_complete(find_captures(site, date, digests), digests)
     fresh = find_stale(site, date, captures, digests, earlier)
     missing = {}
@@ -57,6 +58,7 @@ def _with_reference(found: Night) -> Night:
         return found
     fault = incompatibility(reference, found)
     if fault:
+        # the verdict tells how lenses and poses differ: it may have been a mistake
         change = calibration_change(reference.cameras, found.site)
         return dataclasses.replace(found, reference_fault=fault, calibration_change=change)
     return dataclasses.replace(found, reference=reference)

@@ -162,6 +162,7 @@ def _merged_lens(camera: CameraEntry, entry: Calibrated | None) -> Lens:
     if own and not (entry and own.hfov is not None):
         lens = dataclasses.replace(lens, K=own.K, hfov_deg=own.hfov, width=own.width or 0, height=own.height or 0)
     if camera.distortion is not None or camera.model is not None:
+        # short lists mean that the others are 0
         coefficients = camera.distortion or []
         distortion = coefficients + [0.0] * (5 - len(coefficients))
         lens = dataclasses.replace(lens, distortion=distortion, model=camera.model or "brown")

@@ -92,6 +92,7 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
     if not isinstance(document.data, dict):
         remedy = "start with 'site: NAME'; see sites/template.yaml"
         raise SiteError(Problem(document.path, "a site file is a mapping", remedy, 1, 1))
+    # before validation, since ids and paths are texts for it
     data = _prepared(document.data, problems)
     try:
         return SiteFile.model_validate(data)
@@ -126,6 +127,7 @@ def _captures_pattern(file: SiteFile, problems: Problems) -> Pattern:
         mirror = WorkFolder.mirroring(settings.root, "captures")
         return Pattern(mirror.root, settings.pattern, mirror.store)
     root = resolve_path(settings.root, ("captures", "root"), problems)
+    # an empty list of cameras is a problem of its own
     is_made_later = bool(file.cameras) and all(camera.url for camera in file.cameras)
     if not is_folder(root) and not is_made_later:
         remedy = similar(root) or "check the path and the variables in it; it is relative to the site file"
@@ -154,7 +156,7 @@ def _prepared(data: Any, problems: Problems, location: Location = ()) -> Any:
 
     def value(match: re.Match[str]) -> str:
         name, default = match.groups()
-        content = os.environ.get(name) or default
+        content = os.environ.get(name) or default  # an empty variable counts as unset, as in a shell
         if content is None:
             remedy = f"set it, or write a default: ${{{name}:-/path}}"
             problems.add(location, f"the environment variable {name} is not set", remedy)
@@ -239,7 +241,7 @@ def _explain(error: ValidationError, problems: Problems) -> None:
         elif kind == "missing":
             if location not in misspelt:  # otherwise it is present but misspelt
                 problems.add(section, f"{key!r} is missing", remedy)
-        elif key == "pattern" and isinstance(item["input"], dict):
+        elif key == "pattern" and isinstance(item["input"], dict):  # pattern: {camera}.jpg
             what = "is not a text: without quotes, YAML takes {camera} for a mapping"
             problems.add(location, what, "put it in quotes: pattern: '{camera}.jpg'")
         elif kind == "too_long":

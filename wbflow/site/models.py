@@ -236,6 +236,7 @@ class CameraEntry(Section):
         fault = lens_fault(self.model or "brown", self.distortion)
         if fault:
             raise _error(fault)
+        # a field of view alone says nothing about the rays of a wide lens
         needs_matrix = self.model not in {None, "pinhole", "brown"}
         if needs_matrix and self.calibration is None and (self.intrinsics is None or self.intrinsics.K is None):
             raise _error(f"a {self.model} lens needs 'intrinsics' with fx, fy, cx, cy, width, height")
@@ -462,6 +463,7 @@ def site_schema() -> dict[str, Any]:
 
 def stated_fields(value: Lens | Placement | Survey) -> dict[str, Any]:
     """The fields that differ from their defaults, by name."""
+    # only these, so that a new field with a default does not change the digest of what a site file states
     default = type(value)()
     stated = {}
     for declared in dataclasses.fields(value):

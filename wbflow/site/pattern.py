@@ -79,6 +79,7 @@ class Pattern:
         moment = self._moment_reader(camera)
         names = find_untrusted(self._glob_pattern(camera, date))
         paths = [path for path in map(Path, names) if not path.is_dir()]
+        # files without a valid time come first, in the order of their names
         return sorted(paths, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 
     def moment(self, camera: str, path: Path) -> datetime.datetime | None:

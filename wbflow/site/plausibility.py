@@ -120,6 +120,7 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
         remedy = f"give fx and fy in pixels, not millimetres: fx = {lens.width} x focal length / width of the sensor"
         problems.add(location, what, remedy)
         return
+    # the rest is only unlikely: there are odd cameras
     if field_deg < NARROWEST_DEG:
         what = f"fx is {fx:g} pixels and the picture {lens.width} wide: the lens would see only {field_deg:.2g} degrees"
         doubts.add(location, what, "give fx, fy, cx, cy, width and height in pixels of one and the same picture")
@@ -132,7 +133,7 @@ def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, d
         doubts.add(location, what, "give K, width and height of the same picture; width comes before height")
     if entry.distortion is not None:
         location = ("cameras", position, "distortion")
-    halfway = min(lens.width / fx, lens.height / fy) / 4
+    halfway = min(lens.width / fx, lens.height / fy) / 4  # a quarter of the side: half of the way from the middle
     _check_distortion(location, lens, halfway, problems, doubts)
 
 
@@ -421,6 +422,7 @@ def _check_notify(file: SiteFile, folder: Path, doubts: Problems) -> None:
         return
     if isinstance(command, str):
         words = list(itertools.dropwhile(lambda word: "=" in word.split("/")[0], words))  # settings of variables come first
+    # what the shell itself understands, or would compute, is not looked for
     program = words[0].rstrip(";") if words else ""
     is_of_shell = program.startswith(("$", "`", "(", "#")) or (isinstance(command, str) and program in _SHELL_WORDS)
     if not program or is_of_shell:
@@ -445,6 +447,7 @@ def _check_parameters(stages: Mapping[str, StageSettings], reader: Functions, pr
         if not settings.parameters or settings.use:
             continue
         stage = by_name[name]
+        # a parameter may be of the stage's function or of any of its methods
         dotted = [stage.function]
         if stage.method:
             dotted += reader.table(stage.method.table).values()
@@ -467,6 +470,7 @@ def _check_number(
     meaning: unit and meaning of the parameter, in words.
     """
     default = parameter.default
+    # a default of 0 has no order of magnitude
     if isinstance(value, bool) or not isinstance(value, int | float) or isinstance(default, bool):
         return
     if not isinstance(default, int | float) or not default:

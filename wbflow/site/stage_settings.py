@@ -53,7 +53,7 @@ def read_stages(sections: dict[str, Any], bindings: Bindings, problems: Problems
         if name not in stages:
             remedy = suggest(name, stages, f"stages are {', '.join(stages)}")
             problems.add(location, f"unknown stage {name!r}", remedy, key=True)
-        elif section is False:
+        elif section is False:  # switched off
             if not stages[name].optional:
                 remedy = f"optional stages: {', '.join(s.name for s in STAGES if s.optional) or 'none'}"
                 problems.add(location, f"{name} cannot be switched off", remedy)
@@ -148,6 +148,7 @@ class _Section:
         for old, change in renamed.items():
             new = change.current_name
             old_is_another_parameter = old != new and old in known
+            # methods have different parameters: only those of present functions have a present name
             if old not in self.values or new not in known or old_is_another_parameter:
                 continue
             old_value = self.values[old]

@@ -67,6 +67,7 @@ def find_stale(
     repeated: dict[str, Health] = {}
     for camera in site.cameras:
         files = captures[camera.id]
+        # the disk is searched for earlier nights only for a camera that has delivered something
         earlier = {}
         if any(file.digest for file in files):
             earlier = _old_nights(site, camera, date, digests, remembered)
@@ -98,7 +99,9 @@ def _old_nights(site: Site, camera: Camera, date: datetime.date, digests: Digest
     """The night of each digest of a camera's earlier captures: remembered ones, and those of the last earlier night on disk."""
     if camera.images is not None:  # the site file lists them, so repeating them is intended
         return {}
+    # 1. what earlier runs have read
     night_of = remembered.last_delivered(camera.id, str(date))
+    # 2. the files themselves, if their names say of which night they are
     pattern = site.captures
     if pattern.dated:
         days = {moment.date() for moment in pattern.moments(camera.id)}

@@ -194,6 +194,7 @@ def parse_yaml(text: str, path: Path) -> Document:
     finally:
         if loader:
             loader.dispose()
+    # the tree of nodes is walked for the places: the data have none
     problems = Problems(Document(path, data))
     _record_marks(node, (), problems)
     if problems.found:
@@ -238,6 +239,7 @@ class _CheckingLoader(Loader):
     """A loader that reports the location of values that are malformed (`!!int x`, `2026-99-99`) or too large."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
+        # PyYAML lets the errors of Python's own conversions through, without a place
         try:
             value = super().construct_object(node, deep=deep)
         except (ValueError, OverflowError, TypeError, KeyError, IndexError, AttributeError) as error:
@@ -292,6 +294,7 @@ def _check_events(loader: Any) -> None:
                 sizes[start.anchor] = size
                 counts[-1] += size
             elif isinstance(event, AliasEvent):
+                # an anchor is known only at the end of what it names: inside of that, the alias is a circle
                 for start in open_collections:
                     if start.anchor == event.anchor:
                         raise ConstructorError(None, None, "an alias that contains itself", start.start_mark)
@@ -309,6 +312,7 @@ def _record_marks(node: Any, location: Location, problems: Problems) -> None:
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             inner = (*location, str(key.value))
+            # PyYAML takes the last of two equal keys in silence
             first_mark = document.key_marks.get(inner)
             document.key_marks[inner] = (key.start_mark.line + 1, key.start_mark.column + 1)
             if first_mark:

@@ -90,7 +90,7 @@ def figures_of(record: RunRecord) -> dict[str, float]:
 def appearance_of(record: RunRecord) -> dict[str, dict[str, float]]:
     """The figures of each usable camera that are compared with the usual ones, by id and name: those of its image, the misfit of
     its points, and the share of its pairs that found common points."""
-    names = [field.name for field in fields(FrameFigures)]
+    names = [field.name for field in fields(FrameFigures)]  # what is not a number is left out below
     appearances: dict[str, dict[str, float]] = {}
     for camera in record.cameras:
         if not camera.ok:
@@ -186,7 +186,7 @@ def settings_of(site: Site) -> str:
             stages.append([stage.name, bound.function.dotted, bound.code, parameters])
     cameras = [[camera.id, asdict(camera.lens), asdict(camera.placement)] for camera in site.cameras]
     content = [stages, cameras, dict(site.settings.pairs), site.settings.resolution, site.settings.bounds, asdict(site.survey)]
-    text = json.dumps(content, sort_keys=True, default=str)
+    text = json.dumps(content, sort_keys=True, default=str)  # str: of values from YAML, such as dates
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -72,7 +72,7 @@ def _explanation(check: CalibrationCheck) -> str:
     if not check.cause:
         return f"{misfit}; neither the lenses nor a single camera explain that"
     cause = _cause_text(check)
-    if check.sigmas:
+    if check.sigmas:  # by the row offsets of dense matching
         # half a pixel is a convention, and known exactly; any other amount is the least that explains the rows
         suffix = "" if check.cause == "principal-points-corner" else " or more"
         return f"dense matches are {check.sigmas:.0f} standard deviations off their predicted rows; {cause}{suffix} explain that"

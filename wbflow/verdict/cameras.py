@@ -116,7 +116,7 @@ def _pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     """Return the finding about a camera that has no pair, no usable one, or none that confirms its stated pose."""
     subject = (camera.id,)
     pairs = record.pairs_of(camera.id)
-    if record.pairs and not pairs:
+    if record.pairs and not pairs:  # without any pairs, the night has a finding of its own
         return finding("camera-unpaired", subject)
     tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
     unconfirming = _unconfirming(camera.id, tried, record)

@@ -57,6 +57,7 @@ def check_pictures(record: RunRecord, facts: Facts) -> Iterator[Finding]:
     reported = [camera for camera in used if _is_soft(camera) or _is_doubtful(camera, record)]
     if not reported:
         return
+    # doubtful images of few cameras are reported only beside soft ones: see `SOFT_SHARE`
     is_certain = any(_is_soft(camera) for camera in reported)
     if is_certain or len(reported) >= SOFT_SHARE * len(used):
         yield _soft_finding(reported, record)
@@ -153,6 +154,7 @@ def _off_px(camera: CameraRecord, record: RunRecord) -> float:
     """Median distance of a camera's matches from the epipolar lines of its pairs' own F, pixels."""
     distances = []
     for pair in record.pairs_of(camera.id):
+        # matches of improbable pairs may be look-alikes, which are off for another reason
         if pair.ok and (pair.figures.probability or 0.0) > 0.5:
             distances.append(pair.figures.epipolar_px or 0.0)
     if not distances:

@@ -54,7 +54,7 @@ def run_record(
     site = ended.night.site
     site_wide = _SiteWide.from_plan(ended)
     # 1. cameras, each from its views
-    views: dict[str, list[CameraRecord]] = {}
+    views: dict[str, list[CameraRecord]] = {}  # by camera
     for view in site.views:
         views.setdefault(view.camera, []).append(_camera_record(ended, view.id, site_wide))
     cameras = [_joined_views(records) for records in views.values()]
@@ -185,6 +185,7 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
     figures: dict[str, Any] = {}
     success: dict[str, Any] = {"outcome": "ok"}
     outcome = success
+    # in the order of the pipeline, so that later stages decide
     for stage, kind in _stages_in(PairFigures):
         state = ended.states.get(Task(stage.name, pair))
         if state is None:

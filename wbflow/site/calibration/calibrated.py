@@ -34,7 +34,7 @@ def lens_fault(model: str, distortion: list[float] | None) -> str:
         return f"{model!r} is not a known lens model; use one of {', '.join(LensModel)}"
     known = LensModel(model)
     count = len(distortion or [])
-    states_zeros = known.counts == (0,) and not any(distortion or [])
+    states_zeros = known.counts == (0,) and not any(distortion or [])  # some programs write zeros for a pinhole
     if count in known.counts or states_zeros:
         return ""
     expected = f"{' or '.join(map(str, known.counts))} coefficients"
@@ -118,6 +118,7 @@ class Calibrated(BaseModel):
     @classmethod
     def _check_sigma(cls, sigma: float | None, info: ValidationInfo) -> float | None:
         quantity = "C" if info.field_name == "position_sigma_m" else "R"
+        # a faulty C or R is not among the data: it has a problem of its own
         if sigma is not None and info.data.get(quantity, ()) is None:
             raise ValueError(f"is the uncertainty of {quantity}, which is not given")
         return sigma
@@ -159,6 +160,7 @@ def calibrated(fields: Mapping[str, Any], shown: Mapping[str, str] | None = None
     try:
         return Calibrated.model_validate(fields)
     except ValidationError as error:
+        # one at a time: a file of a program that is not understood would have a fault in every field
         first = error.errors()[0]
         field_name = str(first["loc"][0])
         name = (shown or {}).get(field_name, field_name)
@@ -177,7 +179,7 @@ def look_at(position: Vector, target: Vector) -> Matrix:
     forward = _unit([t - p for t, p in zip(target, position, strict=True)])
     # right and down from world up (0, 0, 1): the camera is upright
     right = _cross(forward, [0.0, 0.0, 1.0])
-    if math.hypot(*right) < 1e-6:
+    if math.hypot(*right) < 1e-6:  # its length is the sine of the angle between the two
         raise ValueError("looks straight up or down, so which way is up in the image is unknown: give a rotation instead")
     right = _unit(right)
     return [right, _cross(forward, right), forward]

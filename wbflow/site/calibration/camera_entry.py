@@ -135,6 +135,7 @@ def _region_size(entry: Entry, K: Matrix, size: dict[str, int]) -> dict[str, int
         raise entry.fault("roi", "must be a part of the picture, in whole pixels")
     if x + width > size["width"] or y + height > size["height"]:
         raise entry.fault("roi", f"reaches beyond the {size['width']}x{size['height']} pixels of the camera")
+    # the principal point is counted from the corner of the region
     K[0][2] -= x
     K[1][2] -= y
     return {"width": width, "height": height}

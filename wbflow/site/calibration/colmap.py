@@ -71,7 +71,7 @@ def read_colmap(folder: Path) -> dict[str, Calibrated]:
             raise _refused(camera_file, f"{camera.label}camera {camera.id} is there twice", camera.line)
         try:
             lenses[camera.id] = _lens(camera)
-            calibrated(lenses[camera.id])
+            calibrated(lenses[camera.id])  # a fault is that of the camera, and not of each of its images
         except (IndexError, ValueError) as error:
             reason = "it lacks numbers" if isinstance(error, IndexError) else str(error)
             raise _refused(camera_file, f"{camera.label}{reason}", camera.line) from None
@@ -97,6 +97,7 @@ def _model_suffix(folder: Path) -> str:
         if is_file(folder / f"cameras.{suffix}") and is_file(folder / f"images.{suffix}"):
             return suffix
     what = "must hold cameras.txt and images.txt, or cameras.bin and images.bin (COLMAP's text or binary model)"
+    # COLMAP writes each model into a numbered folder: often the one around them is named
     inner = sorted(path for path in folder.iterdir() if path.is_dir() and is_colmap(path))
     if inner:
         raise SiteError(Problem(folder, what, f"name the folder of the model: {printable(inner[0])}"))

@@ -122,6 +122,7 @@ class Entry:
 
         known: keys to suggest instead of a misspelt one.  remedy: what to do if none is similar.
         """
+        # keys that begin like a comment are one
         for key in self._values:
             if key in self._unread and plain(key) not in IRRELEVANT and not key.startswith(("_", "//", "$")):
                 raise self.fault(key, "is not read, so what it says would be lost", suggest(key, known, remedy))

@@ -54,7 +54,7 @@ def read_stereo(data: dict[str, Any]) -> dict[str, Calibrated]:
         own |= size
         if number == 2:
             own |= pose
-        elif "R" in pose:
+        elif "R" in pose:  # the left camera is the world's origin
             own |= {"R": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "C": [0.0, 0.0, 0.0]}
         cameras[name] = read_camera(Entry(own, (), name), needs_distortion=True)
     whole.ignore(*size, *pose, *_RECTIFICATION)

@@ -41,6 +41,7 @@ def size_of(entry: Entry) -> dict[str, Any]:
     if size_key == "ImageSize":
         raise entry.fault(size_key, "may be MATLAB's, which gives rows before columns", "write image_width and image_height")
     if size_key is not None:
+        # files may have both forms, as long as they agree
         size = list(_flattened(_data_of(entry[size_key])))
         if len(size) != 2 or (width is not None and [width, height] != size):
             raise entry.fault(size_key, "must be the width and the height", "write image_width and image_height, in pixels")
@@ -80,7 +81,7 @@ def numbers_of(entry: Entry, key: str) -> list[float]:
 
 def _number(value: Any) -> float:
     """A number as it is written, int or float, so that digests do not depend on who parsed it.  Raises ValueError, TypeError."""
-    if isinstance(value, bool):
+    if isinstance(value, bool):  # which is an int to Python
         raise TypeError
     if isinstance(value, str):  # YAML 1.1 reads 1e-05 as text
         return float(value)
