@@ -39,7 +39,7 @@ def earlier_runs(work: WorkFolder, run: str, date: str) -> tuple[RunRecord, ...]
     return tuple(sorted(by_date.values(), key=lambda record: (record.date, record.run), reverse=True))
 
 
-def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -> Baseline | None:
+def baseline_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -> Baseline | None:
     """Medians of good nights with the same settings; else the usual figures that the newest run with these settings recorded.
 
     earlier: newest first.  settings: digest of tonight's.  since: nights before this one (ISO 8601) don't count.
@@ -47,7 +47,7 @@ def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -
     comparable = [record for record in earlier if record.settings == settings and record.date >= since]
     good = [record for record in comparable if record.verdict and record.verdict.good and record.cloud]
     if good:
-        return usual_of(good)
+        return baseline_of(good)
     # all of them bad: their records contain what was usual before
     for record in comparable:
         if record.usual:
@@ -55,7 +55,7 @@ def usual_before(earlier: Sequence[RunRecord], settings: str, since: str = "") -
     return None
 
 
-def usual_of(records: Sequence[RunRecord]) -> Baseline:
+def baseline_of(records: Sequence[RunRecord]) -> Baseline:
     """The medians of the figures of some nights."""
     by_camera: dict[str, list[dict[str, float]]] = {}
     for record in records:

@@ -27,7 +27,7 @@ from ..site.models import Measure
 from ..task import Task
 from .acknowledge import name_of, split, with_known
 from .amounts import check_amounts, check_cloud
-from .baseline import earlier_runs, settings_of, usual_before, usual_of, with_appearance
+from .baseline import baseline_before, baseline_of, earlier_runs, settings_of, with_appearance
 from .calibration import check_calibration
 from .cameras import check_cameras, with_down
 from .captures import check_captures
@@ -102,16 +102,16 @@ def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:
     settings = settings_of(night.site)
     work = night.cache.work
     earlier = earlier_runs(work, record.run, record.date)
-    usual = usual_before(earlier, settings, facts.expected.since)
+    baseline = baseline_before(earlier, settings, facts.expected.since)
     if night.reference and not night.reference.automatic:  # pinned by an operator: its figures count as usual
         with suppress(NoSuchRun):  # removed since
             pinned = RunFolder.of(work, night.reference.run).record()
             if pinned.settings == settings and pinned.cloud:
-                pinned_usual = usual_of([pinned])
+                pinned_baseline = baseline_of([pinned])
                 # looks vary with the weather: medians of several nights are the better measure of a camera
-                cameras = usual.cameras if usual else pinned_usual.cameras
-                usual = Baseline(1, pinned_usual.figures, cameras, pinned.run)
-    return judge(replace(record, settings=settings, usual=usual), replace(facts, earlier=earlier))
+                cameras = baseline.cameras if baseline else pinned_baseline.cameras
+                baseline = Baseline(1, pinned_baseline.figures, cameras, pinned.run)
+    return judge(replace(record, settings=settings, usual=baseline), replace(facts, earlier=earlier))
 
 
 def judge(record: RunRecord, facts: Facts) -> RunRecord:

@@ -16,7 +16,7 @@ from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunReco
 from wbflow.runner.state import Cause, State
 from wbflow.site.models import Expected
 from wbflow.task import Task
-from wbflow.verdict.baseline import appearance_of, usual_before, usual_of
+from wbflow.verdict.baseline import appearance_of, baseline_before, baseline_of
 from wbflow.verdict.facts import Facts
 from wbflow.verdict.rules import judge
 from wbflow_stages.contracts.camera_figures import Health
@@ -70,7 +70,7 @@ def night(
         reason=None if points else "only camera gate has a usable capture",
         settings=settings,
     )
-    usual = usual_before(past, settings, expected.since)
+    usual = baseline_before(past, settings, expected.since)
     return judge(replace(record, usual=usual), replace(facts, earlier=tuple(past), expected=expected))
 
 
@@ -407,7 +407,7 @@ def test_a_missing_requested_result_other_than_a_cloud_is_a_failure() -> None:
 def test_an_interrupted_night_is_reported_and_never_counts_as_usual() -> None:
     record = night(points=0, facts=Facts(interrupted=True))
     assert (only(record).kind, record.exit_code) == ("interrupted", ExitCode.INTERRUPTED)
-    assert usual_before([record], "as ever") is None
+    assert baseline_before([record], "as ever") is None
 
 
 def test_less_ground_seen_than_usual_is_a_finding() -> None:
@@ -415,12 +415,12 @@ def test_less_ground_seen_than_usual_is_a_finding() -> None:
         replace(night(date), poses=PosesSummary(), results={"coverage": CoverageSummary(area_m2=400.0, seen_by_two=share)})
         for date, share in (("2026-11-19", 0.8), ("2026-11-20", 0.3))
     ]
-    record = judge(replace(seen[1], usual=usual_before([seen[0]], "as ever")), Facts())
+    record = judge(replace(seen[1], usual=baseline_before([seen[0]], "as ever")), Facts())
     assert only(record).text == "120 m² seen by two cameras, 38 % of the usual 320"
 
 
 def test_usual_figures_are_medians() -> None:
-    usual = usual_of([night(points=points) for points in (90_000, 100_000, 250_000)])
+    usual = baseline_of([night(points=points) for points in (90_000, 100_000, 250_000)])
     assert (usual.nights, usual.figures) == (3, {"points": 100_000, "pairs": 6})
     assert usual.cameras["gate"] == {**LOOKS, "matched_share": 1.0}
 
