@@ -232,13 +232,18 @@ def quaternion_rotation(quaternion: Sequence[float]) -> Matrix:
 
 def centre(R: Matrix, t: Vector) -> Vector:
     """The centre of the camera x = R X + t: C = -R^T t."""
-    return [-sum(R[j][i] * t[j] for j in range(3)) for i in range(3)]
+    return [-value for value in turned(list(zip(*R, strict=True)), t)]
+
+
+def turned(R: Sequence[Sequence[float]], x: Sequence[float]) -> Vector:
+    """The product of a matrix and a vector."""
+    return [_dot(row, x) for row in R]
 
 
 def product(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> Matrix:
     """The product of two matrices."""
     columns = list(zip(*B, strict=True))
-    return [[_dot(row, column) for column in columns] for row in A]
+    return [turned(columns, row) for row in A]
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:

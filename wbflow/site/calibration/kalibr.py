@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrated import Calibrated, Faulty, Matrix, Vector, calibrated, centre, product
+from .calibrated import Calibrated, Faulty, Matrix, Vector, calibrated, centre, product, turned
 from .entry import Entry
 from .pose import rigid_matrix
 from .values import MODEL_NAMES, numbers_of, size_of, text_of
@@ -68,8 +68,8 @@ def _next_pose(entry: Entry, R: Matrix, t: Vector) -> tuple[Matrix | None, Vecto
         return None, t
     rotation, translation = rigid_matrix(entry, "T_cn_cnm1")
     # x_n = rotation (R X + t) + translation
-    turned = [sum(row[k] * t[k] for k in range(3)) for row in rotation]
-    return product(rotation, R), [a + b for a, b in zip(turned, translation, strict=True)]
+    moved = [a + b for a, b in zip(turned(rotation, t), translation, strict=True)]
+    return product(rotation, R), moved
 
 
 def _camera(entry: Entry, pose: dict[str, Any]) -> Calibrated:

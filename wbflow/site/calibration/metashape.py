@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrated import Calibrated, Faulty, Matrix, Vector, calibrated, product, rotation_fault
+from .calibrated import Calibrated, Faulty, Matrix, Vector, calibrated, product, rotation_fault, turned
 from .pose import turned_axes
 from .values import rows_of
 from .xml_tree import Element
@@ -146,8 +146,8 @@ def _pose(camera: Element, world: Element, chunk: Element) -> dict[str, Any]:
     # C = scale * world_rotation * position + translation
     world_rotation, translation, scale = _similarity(to_world)
     moved = []
-    for row, shift in zip(world_rotation, translation, strict=True):
-        moved.append(sum(row[k] * position[k] for k in range(3)) * scale + shift)
+    for value, shift in zip(turned(world_rotation, position), translation, strict=True):
+        moved.append(value * scale + shift)
     return {"R": turned_axes(product(world_rotation, rotation), 1.0), "C": moved}
 
 
