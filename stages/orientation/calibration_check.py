@@ -142,6 +142,7 @@ class _CheckedView:
         if self.stated is None:
             ray = (x - K[:2, 2]) / focal
         else:
+            # back to the capture by the lens that was used, and from there by the right one
             stated_K = self.stated.K
             stated_ray = np.column_stack([(x - stated_K[:2, 2]) / stated_K[[0, 1], [0, 1]], np.ones(len(x))])
             captured = cv2.projectPoints(stated_ray, np.zeros(3), np.zeros(3), stated_K, self.stated.distortion)[0]
@@ -186,6 +187,7 @@ def check_calibration(cameras: Mapping[str, Camera], geometries: Mapping[Pair, G
     if not confirmed and not other_matches:
         return None
     check = _check(stated, confirmed, other_matches)
+    # Of pairs without confirmed matches, many may still agree on one cause.
     if not check.contradicted and other_matches:
         check = _with_majority_cause(check, stated, [*confirmed, *other_matches])
     return check
@@ -413,6 +415,7 @@ def _with_majority_cause(check: CalibrationCheck, stated: _World, evidence: list
 
 def _sampled(pair: Pair, chosen: Geometry, full: Geometry) -> _Matches:
     """A sample of some matches of a pair; the noise is estimated from all of them (`full`)."""
+    # the median absolute deviation, as a standard deviation
     distance = np.abs(sampson_distance(full.F, full.x1, full.x2))
     noise_px = max(1.4826 * float(np.median(distance)), LEAST_NOISE_PX)
     # evenly spread over the list
@@ -534,6 +537,7 @@ def _simplest(explanations: list[_Explanation], loss: float, slack: float = 0.1)
     """The simplest of the causes that explain about as much of a loss as any; slack: tolerated share of the remaining loss.
     Headings count as two unknowns, like the principal points that they imitate: the loss decides between these."""
     least_loss = min(explanation.loss for explanation in explanations)
+    # Causes with more unknowns always fit a little better.
     limit = least_loss + max(slack * least_loss, 0.05 * (loss - least_loss))
 
     def rank(explanation: _Explanation) -> tuple[bool, int, float]:
@@ -549,7 +553,7 @@ def _fit(cause: _Cause, stated: _World, evidence: list[_Matches]) -> _Explanatio
     """The amount of a cause that fits the matches best, by Gauss-Newton steps on a loss whose scale tightens."""
     # the loss of other pairs does not depend on the amount
     affected = [matches for matches in evidence if not cause.cameras or set(cause.cameras) & set(matches.pair)]
-    amount = np.zeros(cause.unknowns)
+    amount = np.zeros(cause.unknowns)  # as stated
     damping = 1e-3
     scale = np.inf
 
@@ -663,7 +667,7 @@ def _with_pose(cause: _Cause, name: str, baseline: float) -> _Cause:
 
 def _exchange(name: str, sources: Mapping[str, str], cameras: tuple[str, ...] = ()) -> _Cause:
     """A cause by which each camera in `sources` has parts of another one."""
-    keys = EXCHANGED[name]
+    keys = EXCHANGED[name]  # names of the fields of `Camera`
 
     def change(world: _World, _: Float64s) -> _World:
         changed = dict(world)

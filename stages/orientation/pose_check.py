@@ -58,6 +58,7 @@ class Sigma:
 
     def pixels(self, camera: Camera, distance: float) -> float:
         """Standard deviation of the pixels of points at a distance (metres) from the camera."""
+        # small angles: a rotation moves all points alike, a shift the nearer ones more
         sigma_px: float = camera.K[0, 0] * (np.radians(self.degrees) + self.metres / distance)
         return sigma_px
 
@@ -81,7 +82,7 @@ class Evidence:
     @property
     def contradicts(self) -> bool:
         """Whether the poses and the matches cannot both be right."""
-        return not self.excess <= 1
+        return not self.excess <= 1  # "not": an error that is nan contradicts, too
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,7 @@ def slack_px(cameras: Mapping[str, Camera], sigmas: Mapping[str, Sigma], pair: P
         return 0.0
     X = _intersections(cameras[pair[0]], cameras[pair[1]], geometry.x1, geometry.x2)
     X = X[np.isfinite(X[:, 0])]
+    # The errors of both cameras are independent: their variances add up.
     variance = 0.0
     for name in pair:
         camera = cameras[name]
@@ -195,6 +197,7 @@ def verified(views: Set[str], evidence: list[Evidence]) -> bool:
     contradicting_pairs = sum(e.contradicts for e in pairs)
     agreeing_pairs = len(pairs) - contradicting_pairs
     contradicting_triplets = sum(e.contradicts for e in triplets)
+    # A tie of one against one says nothing; two that agree are not by accident.
     pairs_agree = agreeing_pairs > contradicting_pairs or agreeing_pairs == contradicting_pairs >= 2
     return pairs_agree and 2 * contradicting_triplets <= len(triplets)
 
@@ -258,6 +261,7 @@ def _triplet(names: tuple[str, str, str], pairs: Mapping[Pair, Geometry]) -> Tri
     ac_rows, kept_rows = _common_rows(ac.i1, ac.x1, a_keypoints, ab.x1[ab_rows])
     ab_rows = ab_rows[kept_rows]
     bc_rows = bc_rows[kept_rows]
+    # Both ways lead to c: from a directly, and by way of b.
     closed = np.linalg.norm(ac.x2[ac_rows] - bc.x2[bc_rows], axis=1) < CLOSED_PX
     if closed.sum() < MIN_SHARED:
         return None
@@ -315,6 +319,7 @@ def without_baseline(
         covered.update(pair)
     if covered != set(names) or max(angles.values()) >= min_angle_deg:
         return None
+    # For small angles, the distance of the scene in baselines is the inverse of the angle.
     widest = max(angles, key=angles.__getitem__)
     figures = {
         "angle_deg": angles[widest],
