@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..pipeline.meanings import BOOKKEEPING, meaning, titled
 from ..pipeline.stages import CHANGES, STAGES
@@ -43,83 +45,96 @@ class Trend:
     median: str
 
 
+class _Figure(NamedTuple):
+    """A figure of one night, which the chart of its title shows."""
+
+    title: str
+    unit: str
+    value: float
+    least: float | None = None
+    most: float | None = None
+
+
 def trends(data: ReportData) -> list[Trend]:
     """Return a chart for each figure of the whole night; those that say most come first."""
-    nights = data.nights
-    series: dict[tuple[str, str], list[Sample]] = {}  # by title and unit
-
-    def add(
-        title: str, unit: str, night: RunRecord, value: object, least: float | None = None, most: float | None = None
-    ) -> None:
-        if is_number(value):
+    # 1. The samples of each figure, oldest first.
+    series: dict[tuple[str, str], list[Sample]] = {}
+    for figures_of in (_used, _changed, _reported, _spent):
+        for night in data.nights:
             day = datetime.date.fromisoformat(night.date)
-            sample = Sample(day, value, night.verdict.level if night.verdict else "", least, most)
-            series.setdefault((title, unit), []).append(sample)
+            state = night.verdict.level if night.verdict else ""
+            for title, unit, value, least, most in figures_of(data, night):
+                series.setdefault((title, unit), []).append(Sample(day, value, state, least, most))
 
-    # 1. What was used, and what changed.
-    for night in nights:
-        add("points in the cloud", "", night, night.cloud.points if night.cloud else 0)
-        add("cameras in use", "", night, sum(camera.ok for camera in night.cameras))
-        add("usable pairs", "", night, sum(pair.ok for pair in night.pairs))
-    for night in nights:
-        result = night.results.get(CHANGES)
-        for zone, part in result.volumes.items() if result else ():
-            of_zone = f", {zone}" if zone else ""
-            cubic = f"{night.unit}³" if night.unit else ""
-            add(
-                f"volume gained{of_zone}", cubic, night, part.gained, *_interval(part.gained, part.gained_least, part.gained_most)
-            )
-            add(f"volume lost{of_zone}", cubic, night, part.lost, *_interval(part.lost, part.lost_least, part.lost_most))
-
-    # 2. The figures of all stages.
-    for night in nights:
-        for result in night.results.values():
-            for name, value in vars(result).items():
-                if is_number(value) and name not in BOOKKEEPING:
-                    is_share = meaning(name).share
-                    add(titled(name), "%" if is_share else "", night, 100 * value if is_share else value)
-
-    # 3. What it cost.
-    for night in nights:
-        add("time", "s", night, night.seconds.wall)
-        add("CPU", "s", night, night.seconds.cpu)
-        add("size of the night's products", "MB", night, _megabytes(data, night))
-
-    period = Period(datetime.date.fromisoformat(nights[0].date), datetime.date.fromisoformat(nights[-1].date))
+    # 2. Their charts, all over the same days.
+    first = datetime.date.fromisoformat(data.nights[0].date)
+    last = datetime.date.fromisoformat(data.record.date)
     found = []
     for (title, unit), samples in series.items():
-        drawn = chart(title, unit, samples, period)
-        if drawn:
-            found.append(Trend(title, drawn, _now(drawn, samples, data), _median(samples, unit)))
+        drawn = chart(title, unit, samples, Period(first, last))
+        if drawn is None:
+            continue
+        now = "–"
+        if samples[-1].day == last:
+            now = drawn.now
+        found.append(Trend(title, drawn, now, _median(samples, unit)))
     return found
 
 
-def _interval(seen: float, least: float, most: float) -> tuple[float | None, float | None]:
-    """Return the ends of a volume's interval; None where it is unknown: its upper end is below what was seen."""
+def _used(data: ReportData, night: RunRecord) -> Iterator[_Figure]:
+    points = night.cloud.points if night.cloud else 0
+    yield _Figure("points in the cloud", "", points)
+    yield _Figure("cameras in use", "", sum(camera.ok for camera in night.cameras))
+    yield _Figure("usable pairs", "", sum(pair.ok for pair in night.pairs))
+
+
+def _changed(data: ReportData, night: RunRecord) -> Iterator[_Figure]:
+    """Yield the volumes that were gained and lost, of the whole site and of each zone."""
+    result = night.results.get(CHANGES)
+    if result is None:
+        return
+    cubic = f"{night.unit}³" if night.unit else ""
+    for zone, part in result.volumes.items():
+        of_zone = f", {zone}" if zone else ""
+        yield _Figure(f"volume gained{of_zone}", cubic, *_volume(part.gained, part.gained_least, part.gained_most))
+        yield _Figure(f"volume lost{of_zone}", cubic, *_volume(part.lost, part.lost_least, part.lost_most))
+
+
+def _volume(seen: float, least: float, most: float) -> tuple[float, float | None, float | None]:
+    """Return a volume with the ends of its interval; None where it is unknown: its upper end is below what was seen."""
     if most < seen:
-        return None, None
-    return least, most
+        return seen, None, None
+    return seen, least, most
 
 
-def _now(drawn: Chart, samples: Sequence[Sample], data: ReportData) -> str:
-    """Return this night's value; the last one may be of an earlier night."""
-    if samples[-1].day.isoformat() == data.record.date:
-        return drawn.now
-    return "–"
+def _reported(data: ReportData, night: RunRecord) -> Iterator[_Figure]:
+    """Yield the numbers that site-wide stages report."""
+    for result in night.results.values():
+        for name, value in vars(result).items():
+            if not is_number(value) or name in BOOKKEEPING:
+                continue
+            if meaning(name).share:
+                yield _Figure(titled(name), "%", 100 * value)
+            else:
+                yield _Figure(titled(name), "", value)
+
+
+def _spent(data: ReportData, night: RunRecord) -> Iterator[_Figure]:
+    yield _Figure("time", "s", night.seconds.wall)
+    yield _Figure("CPU", "s", night.seconds.cpu)
+    # the run of this page is not published yet
+    folder = data.files
+    if night.run != data.record.run:
+        folder = data.work.run(night.run).folder
+    with suppress(OSError):
+        # not of its report, which is still to be written, nor of its log
+        size = sum((folder / name).stat().st_size for name in night.files)
+        yield _Figure("size of the night's products", "MB", size / 1e6)
 
 
 def _median(samples: Sequence[Sample], unit: str) -> str:
     values = sorted(sample.value for sample in samples)
     return f"{number(values[len(values) // 2])} {unit}".strip()
-
-
-def _megabytes(data: ReportData, night: RunRecord) -> float | None:
-    """Return the size of what a night has made: not of its report, which is still to be written, nor of its log."""
-    folder = data.files if night.run == data.record.run else data.work.run(night.run).folder
-    try:
-        return sum((folder / name).stat().st_size for name in night.files) / 1e6
-    except OSError:
-        return None
 
 
 def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
@@ -131,7 +146,8 @@ def camera_bars(data: ReportData) -> dict[str, list[tuple[str, float, str]]]:
             # a camera that is no longer in the site has no row
             if camera.id not in bars:
                 continue
-            share = figures.get(camera.id, {}).get("matched_share", 1.0 if camera.ok else 0.0)
+            # a night that records no such share says only whether the camera was in use
+            share = figures.get(camera.id, {}).get("matched_share", float(camera.ok))
             if camera.ok:
                 health = "as it should be"
                 if camera.health and not camera.health.ok:
@@ -148,7 +164,9 @@ def tasks_of_stages(data: ReportData) -> list[tuple[str, Counter[str]]]:
     counts: dict[str, Counter[str]] = {}
     for task, event in data.tasks.items():
         has_run = event.outcome == "ran" and event.fresh
-        outcome = "cached" if event.usable and not has_run else event.outcome
+        outcome: str = event.outcome
+        if event.usable and not has_run:
+            outcome = "cached"
         counts.setdefault(task.stage, Counter())[outcome] += 1
     return [(stage.name, counts[stage.name]) for stage in STAGES if stage.name in counts]
 
@@ -162,7 +180,9 @@ def timetable(data: ReportData) -> tuple[list[tuple[int, int, float, float, str]
     # 1. When each task ran, by its receipt.
     ran: list[tuple[float, float, Task]] = []
     for task, event in data.tasks.items():
-        receipt = data.receipt(task) if event.fresh else None
+        if not event.fresh:
+            continue
+        receipt = data.receipt(task)
         if receipt and receipt.finished:
             end = datetime.datetime.fromisoformat(receipt.finished).timestamp()
             ran.append((end - receipt.wall, end, task))

@@ -95,6 +95,7 @@ class ReportData:
 
     def frame(self, camera: str) -> Task:
         """Return the task of a camera's frame; if it has several views, that of the first one, which shows the middle."""
+        # a camera that is too wide for one pinhole is split into views
         first_view = Task(FRAMES, (view_name(camera, 1),))
         if first_view in self.tasks:
             return first_view
@@ -131,6 +132,7 @@ class ReportData:
         tonight = record.changes
         # on the night of the reference, nothing differs from it
         before = good.changes if good.run != record.reference else {}
+        # a change keeps its id for life
         known = tonight.keys() & before.keys()
         gone = {name: change for name, change in before.items() if name not in tonight}
         new = [change for name, change in tonight.items() if name not in before and not change.acknowledged]
@@ -193,6 +195,7 @@ def state_of(camera: CameraRecord, record: RunRecord) -> str:
     """Return the state of a camera: good, warn (usable, but something is wrong with it) or bad (no usable result)."""
     if not camera.ok:
         return "bad"
+    # a camera in use can still be turned, dirty, or doubted by the others
     is_healthy = camera.health is None or camera.health.ok
     poses = record.poses
     is_suspect = poses is not None and any(issue.camera == camera.id for issue in poses.issues)

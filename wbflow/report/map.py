@@ -31,6 +31,11 @@ _LEAST_HORIZONTAL = 0.1
 """A camera whose direction has a smaller horizontal part looks straight up or down, and has no field of view on the map."""
 _MOST_LABELLED = 24
 """Up to this number of cameras, each camera's name is placed above it."""
+_RIGHT = (9.0, 4.0, "start")
+_LEFT = (-9.0, 4.0, "end")
+_BELOW = (0.0, 18.0, "middle")
+_ABOVE = (0.0, -10.0, "middle")
+"""Offset and anchor of a name beside its camera, clear of the dot."""
 _LETTER_WIDTH = 6.0
 _LINE_HEIGHT = 11.0
 """Size of a name's letters, to find names that would overlap (only if there are many cameras)."""
@@ -138,10 +143,15 @@ def _place_labels(cameras: Sequence[SceneCamera], at: Mapping[str, tuple[float, 
         x, y = at[camera.id]
         dx = x - middle_x
         dy = y - middle_y
-        if abs(dx) > _SIDEWAYS * abs(dy):
-            label = (math.copysign(9.0, dx), 4.0, "start" if dx > 0 else "end")
+        is_beside = abs(dx) > _SIDEWAYS * abs(dy)
+        if is_beside and dx > 0:
+            label = _RIGHT
+        elif is_beside:
+            label = _LEFT
+        elif dy > 0:
+            label = _BELOW
         else:
-            label = (0.0, 18.0 if dy > 0 else -10.0, "middle")
+            label = _ABOVE
 
         # the anchor says which point of the name the offset places
         half_width = _LETTER_WIDTH * len(camera.id) / 2

@@ -22,9 +22,10 @@ from ..records.finished_run import Run
 from ..records.record import RunRecord, moment
 from ..site.models import Site
 from ..words import counted, format_value
-from . import charts, render, sections
+from . import charts, first_screen, render, sections
 from .data import ReportData
 from .map import Map, layers_of
+from .parts import is_picture, parts_of, volume_rows
 from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other
 from .scene import scene_of
 from .site_page import place_of
@@ -42,7 +43,10 @@ def rebuild_report(site: Site, run: Run) -> str:
 
 def build_report(data: ReportData) -> str:
     """Return the HTML of a run."""
-    return render("page.html", **_content(data, points_of(data) if data.record.cloud else []), beside=False)
+    points = []
+    if data.record.cloud:
+        points = points_of(data)
+    return render("page.html", **_content(data, points), beside=False)
 
 
 def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> str:
@@ -63,7 +67,7 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
         # 1. The pictures of the changes, as a run would publish them.
         pictures = []
         for name, content in load(products.files)(changes):
-            if sections.is_picture(name):
+            if is_picture(name):
                 (Path(folder) / name).write_bytes(content)
                 pictures.append(name)
 
@@ -79,10 +83,21 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
         content = _content(shown, [*points_of(shown), changed_points])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise WbflowError("the cloud of one of the runs no longer exists", remedy="run the night again")
-    title = counted(len(summary.objects), "change") if summary.objects else "Nothing has changed"
+    title = "Nothing has changed"
+    if summary.objects:
+        title = counted(len(summary.objects), "change")
     headline = "good", title, f"{reference.record.date} beside {record.date}"
-    head = {"headline": headline, "facts": list(sections.volume_facts(shown))}
+    head = {"headline": headline, "facts": list(_volume_facts(shown))}
     return render("page.html", **{**content, **head, "files": [], "other_nights": [], "warnings": []}, beside=True)
+
+
+def _volume_facts(data: ReportData) -> Iterator[first_screen.Fact]:
+    """Yield the volumes that changed, as main figures."""
+    for result in data.record.results.values():
+        for ground, gained, lost, seen_area, unseen_area in volume_rows(result, data.unit):
+            yield first_screen.Fact(gained, f"gained, {ground}")
+            yield first_screen.Fact(lost, f"lost, {ground}")
+            yield first_screen.Fact(seen_area, "seen on both nights", f"not seen: {unseen_area}")
 
 
 def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
@@ -90,26 +105,36 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     record = data.record
     # 1. Small pictures, in the order of the page.
     album = Pictures(data)
-    findings, folded = sections.findings(data, album)
-    parts = sections.parts(data, album)
+    findings, folded = first_screen.findings(data, album)
+    parts = parts_of(data, album)
     camera_pictures = {camera.id: album.of_task(data.frame(camera.id), camera.id) for camera in record.cameras}
     pair_pictures = sections.pair_pictures(data, album)
     other = other_night(data, record.reference)
-    pictures_then = other_pictures(album, other) if other else {}
+    pictures_then = {}
+    if other:
+        pictures_then = other_pictures(album, other)
 
     # 2. The other night's points, if there is room for them.
     row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
     point_bytes = sum(len(stream.data) for stream in points)
     bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + point_bytes)
-    points_then = points_of_other(data, other) if other and points else None
+    points_then = None
+    if other and points:
+        points_then = points_of_other(data, other)
     if points_then and _base64_size(len(points_then.data)) <= bytes_left:
         points = [*points, points_then]
         bytes_left -= _base64_size(len(points_then.data))
 
     # 3. The scene, of some of the night's points; large pictures get the room that is left.
-    sample = [tuple(point) for point in points[0].head["sample"]] if points else []
+    sample = []
+    if points:
+        sample = [tuple(point) for point in points[0].head["sample"]]
     scene = scene_of(data, sample)
-    site_map = Map(scene) if scene else None
+    site_map = None
+    layers: list[dict[str, Any]] = []
+    if scene:
+        site_map = Map(scene)
+        layers = layers_of(data, site_map)
     return {
         "data": data,
         "record": record,
@@ -117,15 +142,15 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         "charts": charts,
         "meaning": meaning,
         "format_value": format_value,
-        "headline": sections.headline(data),
-        "facts": list(sections.facts(data)),
+        "headline": first_screen.headline(data),
+        "facts": list(first_screen.facts(data)),
         "findings": findings,
         "folded": folded,
         "parts": parts,
         "points": points,
         "scene": scene,
         "map": site_map,
-        "layers": layers_of(data, site_map) if site_map else [],
+        "layers": layers,
         "warnings": [event for event in data.events if isinstance(event, WarningEvent)],
         "camera_pictures": camera_pictures,
         "pair_pictures": pair_pictures,
@@ -170,8 +195,9 @@ def _other_nights(data: ReportData) -> Iterator[tuple[str, str]]:
 def _when(data: ReportData) -> str:
     began = data.site.local(moment(data.record.started).timestamp())
     ended = data.site.local(moment(data.record.finished).timestamp())
-    day = "" if began.date() == ended.date() else f"{ended:%Y-%m-%d} "
-    return f"{began:%Y-%m-%d %H:%M %Z} to {day}{ended:%H:%M %Z}"
+    if began.date() == ended.date():
+        return f"{began:%Y-%m-%d %H:%M %Z} to {ended:%H:%M %Z}"
+    return f"{began:%Y-%m-%d %H:%M %Z} to {ended:%Y-%m-%d %H:%M %Z}"
 
 
 def _pose_notes(record: RunRecord) -> Iterator[str]:
@@ -196,7 +222,9 @@ def _files(data: ReportData) -> Iterator[tuple[str, str]]:
     product_files: set[str] = set()
     for result in record.results.values():
         product_files.update(result.files)
-    names = [paths.cameras.name] if data.cameras else []
+    names = []
+    if data.cameras:
+        names.append(paths.cameras.name)
     names += sorted(product_files)
     names += [paths.record.name, paths.log.name]
     for name in names:

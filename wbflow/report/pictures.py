@@ -50,8 +50,13 @@ def other_night(data: ReportData, run: str | None) -> ReportData | None:
         return None
     try:
         folder = RunFolder.of(data.work, run)
-        events, files = tuple(folder.events()), folder.paths.folder
-        return replace(data, record=folder.record(), events=events, cameras=folder.cameras(), files=files)
+        return replace(
+            data,
+            record=folder.record(),
+            events=tuple(folder.events()),
+            cameras=folder.cameras(),
+            files=folder.paths.folder,
+        )
     except NoSuchRun:
         return None
 
@@ -118,6 +123,7 @@ class Pictures:
     def of_last_good(self, camera: str) -> Picture | None:
         """Return a camera's picture of the last night on which it was in good state."""
         for record in self.data.earlier:
+            # not every night has the camera: it may have been added later
             was_good = any(entry.id == camera and state_of(entry, record) == "good" for entry in record.cameras)
             if not was_good:
                 continue
@@ -129,6 +135,7 @@ class Pictures:
 
     def of_other_night(self, other: ReportData, camera: str, alt: str) -> Picture | None:
         """Return a camera's picture of another night."""
+        # polygons that were drawn since hide nothing in an old picture: it is left out then
         task = self.data.frame(camera)
         key = other.keys.get(task)
         if not key or not _is_as_private(self.data, other, task):
@@ -151,6 +158,7 @@ class Pictures:
             return Picture(self._ids[path], alt)
         name = f"picture-{len(self._ids) + 1}"
         try:
+            # what has no room stays outside, and the page leads to it
             if self.embedded_bytes + path.stat().st_size > MOST_PICTURE_BYTES:
                 return Picture(name, alt, link=link or f"../../{path.relative_to(self.data.work.root)}")
             content = read()
@@ -169,6 +177,7 @@ def other_pictures(album: Pictures, other: ReportData) -> dict[str, tuple[Pictur
     for camera in album.data.record.cameras:
         name = camera.id
         picture = album.of_other_night(other, name, f"{name} on {other.record.date}")
+        # a picture that has no room cannot be laid over this night's
         if picture and not picture.link:
             pictures[name] = picture, _homography(other.cameras.get(name), album.data.cameras.get(name))
     return pictures
@@ -219,8 +228,12 @@ def points_of(data: ReportData) -> list[Points]:
     points = []
     for stage in STAGES:
         stream = data.product_file(Task(stage.name), "view")
-        if stream:
-            points.append(Points("product" if stage.name == FUSE else "change", stream))
+        if not stream:
+            continue
+        if stage.name == FUSE:
+            points.append(Points("product", stream))
+        else:
+            points.append(Points("change", stream))
     return points
 
 
@@ -251,6 +264,7 @@ def large_pictures(data: ReportData, bytes_left: int) -> list[tuple[int, str, st
         keypoints = data.product_file(Task(FEATURES, frame.subject), "marks") or b""
         inliers = inliers_of[frame.subject[0]]
         encoded = f"{_encoded(picture)} {_encoded(keypoints)} {_encoded(inliers)}"
+        # what comes first has priority: no smaller one further on takes its room
         if len(encoded) > bytes_left:
             break
         bytes_left -= len(encoded)
@@ -280,8 +294,10 @@ def _keypoint_note(data: ReportData, frame: Task) -> str:
     receipt = data.receipt(Task(FEATURES, frame.subject))
     if not receipt or not frame_receipt or frame_receipt.digest in receipt.preimage.inputs.values():
         return ""
-    night_note = f" of {data.reference.date}" if data.reference else ""
-    return f"found in the reference's picture{night_note}: the camera has not moved"
+    night = ""
+    if data.reference:
+        night = f" of {data.reference.date}"
+    return f"found in the reference's picture{night}: the camera has not moved"
 
 
 def _to_unit(camera: Mapping[str, Any]) -> Matrix:

@@ -124,7 +124,9 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
 
     # 1. The axes of the page: their origin is in the middle of the points, as far as there are any.
     points, origin = _points_and_origin(data, sample, centres)
-    crs = record.poses.crs if record.poses else ""
+    crs = ""
+    if record.poses:
+        crs = record.poses.crs
     axes = Axes(_rows(rotations, centres, origin, on_map=bool(crs)), origin)
 
     # 2. What is in the scene.
@@ -132,27 +134,17 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     objects = tuple(_objects(data, axes))
 
     # 3. How far it reaches: the box around most points is what the first view shows; the map holds all cameras and objects, too.
-    trimmed_share = _TRIMMED_SHARE if sample else 0.0
-    low, high = _box([axes.place(point) for point in points], trimmed_share)
+    low, high = _box([axes.place(point) for point in points], trimmed=bool(sample))
     middle = _sum((low, high), 0.5)
     radius = max(math.dist(low, high) / 2, _LEAST_VECTOR)
     corners = [low, high]
-    corners += [camera.C for camera in cameras]
-    corners += [item["at"] for item in objects]
-    by_axis = list(zip(*corners, strict=True))
+    for camera in cameras:
+        corners.append(camera.C)
+    for item in objects:
+        corners.append(item["at"])
+    outer_low, outer_high = _ends(corners, skipped=0)
     north = "N" if crs else "y"
-    return Scene(
-        axes,
-        cameras,
-        objects,
-        _vector(min(values) for values in by_axis),
-        _vector(max(values) for values in by_axis),
-        middle,
-        radius,
-        data.unit,
-        north,
-        origin_of(crs),
-    )
+    return Scene(axes, cameras, objects, outer_low, outer_high, middle, radius, data.unit, north, origin_of(crs))
 
 
 def _points_and_origin(data: ReportData, sample: list[Vector], centres: list[Vector]) -> tuple[list[Vector], Vector]:
@@ -178,8 +170,12 @@ def _rows(rotations: Sequence[Matrix], centres: Sequence[Vector], middle: Vector
     """Return right, away and up: away points from the cameras to the middle, else where they look, else along y."""
     up = _up(rotations)
     view_axes = [R[2] for R in rotations]
-    to_middle = [_minus(middle, C) for C in centres]
-    spread = sum(math.hypot(*vector) for vector in to_middle)
+    to_middle = []
+    spread = 0.0
+    for C in centres:
+        vector = _minus(middle, C)
+        to_middle.append(vector)
+        spread += math.hypot(*vector)
 
     # The first of these directions that the cameras have in common, and that is not upright.
     candidates = [
@@ -221,7 +217,7 @@ def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
     reason = camera.reason
     if not reason and camera.health:
         reason = camera.health.text
-    words = "; ".join(text for text in (reason, note) if text)
+    words = "; ".join(filter(None, (reason, note)))
     if not entry.get("R"):
         return SceneCamera(camera.id, C, (), (0.0, 1.0, 0.0), 0.0, state, note, words)
 
@@ -252,14 +248,24 @@ def _objects(data: ReportData, axes: Axes) -> Iterator[dict[str, Any]]:
         }
 
 
-def _box(points: Sequence[Vector], share: float) -> tuple[Vector, Vector]:
-    """Return two corners of the box around points; if a share is trimmed at each end of the axes, a margin is added."""
-    ordered = [sorted(values) for values in zip(*points, strict=True)]
-    skipped = int(share * (len(points) - 1))
-    low = _vector(values[skipped] for values in ordered)
-    high = _vector(values[len(points) - 1 - skipped] for values in ordered)
-    margin = _sum([_minus(high, low)], _MARGIN_SHARE if share else 0.0)
+def _box(points: Sequence[Vector], *, trimmed: bool) -> tuple[Vector, Vector]:
+    """Return two corners of the box around points; trimmed: around most of them, with a margin."""
+    if not trimmed:
+        return _ends(points, skipped=0)
+    low, high = _ends(points, skipped=int(_TRIMMED_SHARE * (len(points) - 1)))
+    margin = _sum([_minus(high, low)], _MARGIN_SHARE)
     return _minus(low, margin), _sum((high, margin))
+
+
+def _ends(points: Sequence[Vector], skipped: int) -> tuple[Vector, Vector]:
+    """Return two corners of the box around points, without so many of them at each end of each axis."""
+    low = []
+    high = []
+    for values in zip(*points, strict=True):
+        ordered = sorted(values)
+        low.append(ordered[skipped])
+        high.append(ordered[-1 - skipped])
+    return _vector(low), _vector(high)
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:

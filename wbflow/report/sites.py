@@ -91,6 +91,7 @@ def _describes_site(file: Path) -> bool:
         text = read_untrusted(file, MOST_TEXT_BYTES).decode(errors="replace")
     except OSError:
         return False
+    # the key alone decides: a file with faults is shown with them
     return re.search(r"""^[{\s]*["']?site["']?\s*:""", text, re.MULTILINE) is not None
 
 
@@ -100,6 +101,7 @@ def _site_row(file: Path, folder: Path) -> SiteRow:
         work = site.work_folder
         runs = history(work) if work.run_ids() else []
     except WbflowError as error:
+        # the page says so, and shows the other sites
         return SiteRow(file.parent.name, file, fault=str(error))
     # of several runs of a night, the last one that ended counts
     by_night = {entry.run.date: entry for entry in runs if not entry.killed}
@@ -119,6 +121,7 @@ def _picture_url(work: WorkFolder) -> str:
     try:
         event = RunFolder.of(work, work.latest_good.name).tasks().get(task)
     except NoSuchRun:
+        # no night has been good yet
         return ""
     if event is None or not event.key:
         return ""

@@ -47,7 +47,7 @@ def toy_with_files(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> ToySite:
     (toy.folder / "toylook.py").write_text(STAGE)
     mine = dataclasses.replace(ROW, products=Products(files="toyfiles:files", title="The toy"), summary=ToySummary)
     rows = tuple(mine if row is ROW else row for row in pipeline.STAGES)
-    for module in ("wbflow.site.models", "wbflow.report.sections", "wbflow.records.record"):
+    for module in ("wbflow.site.models", "wbflow.report.parts", "wbflow.records.record"):
         monkeypatch.setattr(f"{module}.STAGES", rows)
     write(toy, "first")
     return toy
