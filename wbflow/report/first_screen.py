@@ -70,6 +70,7 @@ def headline(data: ReportData) -> tuple[str, str, str]:
             cloud = "There is a cloud, but it is not as good as it should be."
         text = _sentences(cloud, _first_remedy(findings), changes, _scale_sentence(record))
         return level, f"{subjects} to look at", text
+    # no cloud: what all cameras have in common says more than the first of them
     title = "No cloud this night"
     if any(finding.kind == "interrupted" for finding in findings):
         title = "Interrupted"
@@ -110,6 +111,7 @@ def _scale_sentence(record: RunRecord) -> str:
 
 def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
     """Return what to do if nearly all cameras have the same fault, whose cause is then common to them; else ""."""
+    # different faults of many cameras have no common cause that can be named
     kinds = {finding.kind for finding in cameras}
     if len(kinds) != 1 or len(cameras) < max(_FEWEST_ALIKE, _LEAST_ALIKE * len(record.cameras)):
         return ""
@@ -120,7 +122,8 @@ def _same_fault(record: RunRecord, cameras: list[Finding]) -> str:
     return f"{affected} cameras have the same problem. Check first what they have in common: {shared}."
 
 
-def _first_remedy(findings: tuple[Finding, ...]) -> str:
+def _first_remedy(findings: Sequence[Finding]) -> str:
+    """Return what to do first; "" if nothing can be done."""
     with_remedy = [finding for finding in findings if finding.remedy]
     if not with_remedy:
         return ""
@@ -177,6 +180,7 @@ def facts(data: ReportData) -> Iterator[Fact]:
         yield Fact("no scale", NO_SCALE, grade="fair")
     if record.poses and record.poses.unverified:
         yield Fact("unverified", "calibration: too few matches to check it", grade="fair")
+    # a stage may report one amount, such as the area that two cameras see
     for stage, result in record.results.items():
         if stage in values:
             yield measured_fact(stage, *result.AMOUNT)

@@ -118,6 +118,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
     row_bytes = _ROW_BYTES * (len(record.cameras) + len(record.pairs))
     point_bytes = sum(len(stream.data) for stream in points)
     bytes_left = MOST_BYTES - row_bytes - _base64_size(album.embedded_bytes + point_bytes)
+    # what follows has less priority: the other night's points are worth more than large pictures
     points_then = None
     if other and points:
         points_then = points_of_other(data, other)
@@ -126,6 +127,7 @@ def _content(data: ReportData, points: list[Points]) -> dict[str, Any]:
         bytes_left -= _base64_size(len(points_then.data))
 
     # 3. The scene, of some of the night's points; large pictures get the room that is left.
+    # without points, the scene is that of the cameras or of an earlier night
     sample = []
     if points:
         sample = [tuple(point) for point in points[0].head["sample"]]

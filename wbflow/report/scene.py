@@ -185,6 +185,7 @@ def _rows(rotations: Sequence[Matrix], centres: Sequence[Vector], middle: Vector
     ]
     away: Vector = (1.0, 0.0, 0.0)
     for vector, least in candidates:
+        # without its part along the vertical
         horizontal = _minus(vector, _sum([up], _dot(vector, up)))
         if math.hypot(*horizontal) > max(least, _LEAST_VECTOR):
             away = _unit(horizontal)
@@ -228,6 +229,7 @@ def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
     fy = K[1][1]
     R = entry["R"]
     world_R_camera = list(zip(*R, strict=True))  # the transpose of R, whose rows are the camera's axes in the world
+    # the corners of the picture, seen from the camera: K^-1 (x, y, 1), turned into the page's frame
     rays = []
     for x, y in ((0, 0), (width, 0), (width, height), (0, height)):
         ray = ((x - K[0][2]) / fx, (y - K[1][2]) / fy, 1.0)
@@ -238,6 +240,7 @@ def _camera(data: ReportData, camera: CameraRecord, axes: Axes) -> SceneCamera:
 
 def _objects(data: ReportData, axes: Axes) -> Iterator[dict[str, Any]]:
     since = data.since_last_good
+    # dashed on the map if it was there on the last good night
     for name, change in data.record.changes.items():
         yield {
             "name": name,
