@@ -96,7 +96,6 @@ def _things(data: ReportData, result: SiteSummary, album: Pictures) -> Iterator[
         for key, value in vars(change).items():
             if key not in _SAID_OF_CHANGES:
                 figures[key.replace("_", " ")] = value
-        # kept nights of an earlier version do not say when a change was first seen
         when = _since(change, data.record.date)
         yield Thing(name, title, _dimensions(change, data.unit), when, change.acknowledged, picture, figures)
 

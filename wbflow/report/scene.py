@@ -138,8 +138,8 @@ def scene_of(data: ReportData, sample: list[Vector]) -> Scene | None:
     middle = _sum((low, high), 0.5)
     radius = max(math.dist(low, high) / 2, _LEAST_VECTOR)
     corners = [low, high]
-    for camera in cameras:
-        corners.append(camera.C)
+    for placed_camera in cameras:
+        corners.append(placed_camera.C)
     for item in objects:
         corners.append(item["at"])
     outer_low, outer_high = _ends(corners, skipped=0)
