@@ -115,16 +115,16 @@ class Measure {
     if (spots.length > 2 && spots.every(Boolean)) { ink.closePath(); ink.globalAlpha = 0.15; ink.fill(); ink.globalAlpha = 1; }
     ink.stroke();
     for (const s of spots) if (s) { ink.beginPath(); ink.arc(s[0], s[1], 4, 0, 7); ink.fill(); }
-    for (const {text, place, isArea} of this.labels()) { // an area gives way to what stands there already
+    for (const {text, place, isArea, isLast} of this.labels()) { // all give way to the newest, and to what stands there already
       const s = this.view.project(place, camera);
-      if (s) this.view.word(text, s[0], s[1] + (isArea ? 16 : -8), !isArea);
+      if (s) this.view.word(text, s[0], s[1] + (isArea ? 16 : -8), isLast);
     }
   }
   labels() { // what stands beside the line in the view: the length of each of its segments, and the area
     const n = this.points.length, {unit} = this.axes, middle = points => [0, 1, 2].map(k => points.reduce((sum, p) => sum + p[k], 0) / points.length), labels = [];
-    for (let k = 1; k < n; k++) {
+    for (let k = n - 1; k > 0; k--) { // the newest first
       const [a, b] = [this.points[k - 1], this.points[k]], sigma = a.sigma === null || b.sigma === null ? null : Math.hypot(a.sigma, b.sigma);
-      labels.push({text: inWords(Math.hypot(...plus(b.p, a.p, -1)), unit, sigma), place: middle([a.p, b.p])});
+      labels.push({text: inWords(Math.hypot(...plus(b.p, a.p, -1)), unit, sigma), place: middle([a.p, b.p]), isLast: k === n - 1});
     }
     const area = this.figures().find(([name]) => name === "area");
     if (area) labels.push({text: inWords(area[1], unit && `${unit}²`, area[2]), place: middle(this.points.map(q => q.p)), isArea: true});
