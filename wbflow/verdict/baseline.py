@@ -158,7 +158,7 @@ def _health_by_appearance(
     """Return the health of a camera from its figures tonight, the usual ones, their ratios, and the usual ratios of the night."""
     figures = {name: value for name, value in tonight.items() if name in usual}
     base = {name: usual[name] for name in figures}
-    least_brightness = expected.limit(Measure.BRIGHTNESS) * common.get(Measure.BRIGHTNESS, 1.0)
+    least_brightness = expected.brightness * common.get(Measure.BRIGHTNESS, 1.0)
     if shares.get(Measure.BRIGHTNESS, 1.0) < least_brightness:
         text = f"its picture has {100 * shares[Measure.BRIGHTNESS]:.0f} % of its usual brightness"
         return Health("obscured", text, figures, base, "check its lighting and exposure, and whether something blocks its view")
