@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ExitCode, UsageError, WbflowError, worst
-from ..words import counted
+from ..words import LONGEST_TRACE, counted, printable
 from . import common
 from .common import Day, date_at, day, echo, echo_json, load
 from .display import display
@@ -148,10 +148,15 @@ class _Session:
     def _run_night(self, site: Site, night: datetime.date | None, not_captured: Mapping[str, str]) -> Run:
         """Work on one night, and print what came of it."""
         from .. import api
+        from ..records.events import OutputEvent, now
         from .ended import print_night
+        from .libraries import without_library_output
 
-        with display(site.name, self.verbose, self.quiet) as progress:
+        with without_library_output() as printed, display(site.name, self.verbose, self.quiet) as progress:
             finished = api.run(site, date=night, not_captured=not_captured, listen=progress.receive, **self.options)
+            text = printable(printed().strip(), LONGEST_TRACE)
+        if text:
+            finished.run_folder.add(OutputEvent(None, text, now()))
         self.records.append(finished.record)
         if self.as_json:  # now: a later run may clean up
             self.documents.append(json.loads(finished.run_folder.paths.record.read_bytes()))

@@ -74,11 +74,12 @@ class WarningEvent:
 class OutputEvent:
     """What a task, or a library that it uses, has printed.  Logged, and not sent to listeners."""
 
-    task: Task
+    task: Task | None
+    """None if it was printed in the process of the run, where tasks run side by side in threads."""
     what: str
     """The text; line ends are escaped."""
     at: str
-    """Time of the end of the task's chain, ISO 8601, UTC."""
+    """Time of the end of the task's chain, or of the run, ISO 8601, UTC."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from ..records.events import StartedEvent
 from ..records.ledger import read_costs
 from ..task import Task
 from ..words import LONGEST_TRACE, printable
-from .executors import Cluster, CodeMismatch, Processes, WorkerLost
+from .executors import TASK_THREADS, Cluster, CodeMismatch, Processes, WorkerLost
 from .journal import Journal
 from .limits import Limits, machine_memory
 from .options import Options, worker_roots
@@ -222,7 +222,7 @@ class Dispatcher:
 
 def _make_executor(options: Options, memory: int) -> Executor:
     if options.backend == "threading":  # threads start at once, but a crash in a stage ends the run
-        return ThreadPoolExecutor(options.jobs)
+        return ThreadPoolExecutor(options.jobs, thread_name_prefix=TASK_THREADS)
     if options.backend == "dask":
         return Cluster(options.scheduler or "", worker_roots(options.worker_roots))
     return Processes(options.jobs, memory)

@@ -34,6 +34,8 @@ ALL_CORES = "STAGE_THREADS"
 """Environment variable with the number of workers: stages that all others wait for may use this many threads."""
 PIXEL_LIMIT = {"OPENCV_IO_MAX_IMAGE_PIXELS": "200000000"}
 """Limit of OpenCV for images whose header was not checked before."""
+TASK_THREADS = "wbflow-task"
+"""Names of threads that run tasks begin with it."""
 MEASURE_SECONDS = 0.25
 """Interval at which the memory of workers is measured."""
 TIMEOUT_SECONDS = 4

@@ -250,6 +250,23 @@ def test_what_libraries_print_is_in_the_log_and_nowhere_else(toy: ToySite, jobs:
     assert toy.wbflow("report").returncode == 0
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_what_libraries_print_in_threads_is_in_the_log_and_nowhere_else(toy: ToySite, jobs: str) -> None:
+    (toy.folder / "loud_stage.py").write_text(LOUD)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "loud_stage:detect"}
+    toy.file.write_text(json.dumps(site))
+    result = toy.wbflow("run", "-q", "--backend", "threading", "--jobs", jobs)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    log = [json.loads(line) for line in (toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()]
+    [text] = [line["what"] for line in log if line["event"] == "output"]
+    for words in ("40 extraneous bytes", "error while decoding MB", "in Python", "libpng warning: unfinished"):
+        assert text.count(words) == len(toy.cameras)
+    assert toy.wbflow("report").returncode == 0
+    loud = toy.wbflow("run", "--backend", "threading", "--force", "features")
+    assert "libpng" not in loud.stdout + loud.stderr and "features" in loud.stdout + loud.stderr
+
+
 def test_what_a_lost_worker_has_printed_is_in_the_log(wicked: ToySite) -> None:
     (wicked.folder / "wicked_stage.py").write_text(WICKED.replace("os._exit(3)", 'os.write(2, b"terminate called"), os._exit(3)'))
     behave(wicked, "leave")
