@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ExitCode
-from ..records.changes import change_words, open_changes
+from ..records.changes import change_words, news_words, open_changes
 from ..records.findings import Verdict
 from ..records.record import NO_SCALE, STATE_SCALE
 from ..words import counted
@@ -99,8 +99,8 @@ def _level_words(record: RunRecord, level: str) -> str:
     words = f"{level}, {changes}" if changes else LEVELS[level]
     if record.changes and not open_changes(record):
         words += f"; {counted(len(record.changes), 'change')} acknowledged"
-    if record.verdict and record.verdict.recovered:
-        words += f"; no more {', '.join(record.verdict.recovered)}"
+    if record.recovered:
+        words += f"; no more {', '.join(record.recovered)}"
     return words
 
 
@@ -121,11 +121,11 @@ def print_table(records: Sequence[RunRecord]) -> None:
     """Print several nights, one to a line."""
     echo("")
     width = max(len(record.site) for record in records)
-    echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding, or what has changed")
+    echo(f"{'site':{width}}  {'night':10}  {'verdict':8}  {'points':>11}  first finding")
     for record in records:
         verdict = record.verdict or Verdict("failed")
         points = f"{record.cloud.points:,}" if record.cloud else "-"
-        reason = str(verdict.findings[0]) if verdict.findings else change_words(record)
+        reason = str(verdict.findings[0]) if verdict.findings else news_words(record)
         line = f"{record.site:{width}}  {record.date:10}  {verdict.level:8}  {points:>11}  {reason}"
         echo(line.rstrip(), level=verdict.level, fold=True)
 

@@ -5,6 +5,7 @@ A change keeps its id ("C17") for life.  Its dates come from the record of the n
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from ..pipeline.summaries import ChangesSummary, RecordedChange
@@ -27,32 +28,43 @@ def with_nights(found: ChangesSummary, date: str, previous: RunRecord | None) ->
     """
     if not found.compared or found.changes is None:
         return found
-    earlier = previous.changes if previous else {}
-    changes = {name: _with_nights(change, date, earlier.get(name)) for name, change in found.changes.items()}
+    earlier: Mapping[str, RecordedChange] = {}
+    if previous:
+        earlier = previous.changes
+    changes = {}
+    for name, change in found.changes.items():
+        if name in earlier:
+            changes[name] = _gone_on(change, date, earlier[name])
+        else:
+            changes[name] = replace(change, first=date, last=date, news_most=change.volume_most)
     gone = {name: change for name, change in earlier.items() if name not in changes}
     return replace(found, changes=changes, gone=gone)
 
 
-def _with_nights(change: RecordedChange, date: str, earlier: RecordedChange | None) -> RecordedChange:
-    if earlier is None:
-        return replace(change, first=date, last=date, news_most=change.volume_most)
-    first, last = earlier.first, date if change.seen else earlier.last
+def _gone_on(change: RecordedChange, date: str, earlier: RecordedChange) -> RecordedChange:
+    """Return a change of tonight with what the night before knew of it."""
+    change = replace(change, first=earlier.first, last=earlier.last, grown=earlier.grown, news_most=earlier.news_most)
+    if change.seen:
+        change = replace(change, last=date)
     # its volume has grown for certain once its interval lies above that of the night when it was last news
     if change.volume_least > earlier.news_most:
-        return replace(change, first=first, last=last, grown=date, news_most=change.volume_most)
-    return replace(change, first=first, last=last, grown=earlier.grown, news_most=earlier.news_most)
+        change = replace(change, grown=date, news_most=change.volume_most)
+    return change
 
 
 def open_changes(record: RunRecord) -> list[RecordedChange]:
     """Return the changes that nobody has acknowledged: those that are new or have grown tonight, then the older ones."""
     unacknowledged = [change for change in record.changes.values() if not change.acknowledged]
+    # sorting keeps the order of those that are alike
     return sorted(unacknowledged, key=lambda change: change.news != record.date)
 
 
 def count_words(record: RunRecord) -> str:
     """Return how many changes of a night nobody has acknowledged, as in "2 changes"; "" if there are none."""
     count = len(open_changes(record))
-    return counted(count, "change") if count else ""
+    if not count:
+        return ""
+    return counted(count, "change")
 
 
 def change_words(record: RunRecord) -> str:
@@ -60,9 +72,11 @@ def change_words(record: RunRecord) -> str:
 
     For example "2 changes: C17 new 2.0 x 1.4 x 2.6 m at 11.3, 15.0; C3 new since 2026-11-02, 6.1 x 2.4 x 2.6 m at 4.0, 7.5".
     """
-    count = count_words(record)
     words = _words(record, open_changes(record))
-    return f"{count}: {words}" if count else words
+    count = count_words(record)
+    if count:
+        return f"{count}: {words}"
+    return words  # those that are gone, at most
 
 
 def news_words(record: RunRecord) -> str:
@@ -71,10 +85,11 @@ def news_words(record: RunRecord) -> str:
 
 
 def _words(record: RunRecord, told: list[RecordedChange]) -> str:
-    texts = [f"{change.id} {change.words(record.unit, record.date)}" for change in told[:MOST_TOLD]]
+    texts = []
+    for change in told[:MOST_TOLD]:
+        texts.append(f"{change.id} {change.words(record.unit, record.date)}")
     if len(told) > MOST_TOLD:
         texts.append(f"and {len(told) - MOST_TOLD} more")
-    gone = record.compared.gone if record.compared else {}
-    if gone:
-        texts.append(f"{', '.join(gone)} gone")
+    if record.compared and record.compared.gone:
+        texts.append(f"{', '.join(record.compared.gone)} gone")
     return "; ".join(texts)

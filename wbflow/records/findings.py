@@ -349,8 +349,6 @@ class Verdict(JsonDataclass):
     """Findings, the most important first; none for a good night."""
     acknowledged: tuple[Finding, ...] = ()
     """Findings that do not count because a user acknowledged them; `remedy` states who and until when.  Not written if empty."""
-    recovered: tuple[str, ...] = ()
-    """Kind and subject of the findings that the night before had and a good night has no more.  Not written if empty."""
 
     @property
     def good(self) -> bool:
@@ -359,7 +357,7 @@ class Verdict(JsonDataclass):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, write: Any) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if value or name not in {"acknowledged", "recovered"}}
+        return {name: value for name, value in write(self).items() if value or name != "acknowledged"}
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,9 @@ def history(work: WorkFolder) -> list[Entry]:
 def _entry(run: LedgerRun, record: RunRecord | None, cleaned: bool) -> Entry:
     if record is None:
         return Entry(run, None, cleaned)
-    reasons = [str(finding) for finding in record.verdict.findings[:1]] if record.verdict else []
+    reasons = []
+    if record.verdict and record.verdict.findings:
+        reasons.append(str(record.verdict.findings[0]))
     news = news_words(record)
     if news:
         reasons.append(news)

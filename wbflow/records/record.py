@@ -191,6 +191,8 @@ class RunRecord(JsonDataclass):
     """Versions of Python and of the stages' libraries, by name; empty in runs of earlier versions."""
     reference: str | None = None
     """Id of the reference's run, if the run was compared with a reference (see `records.reference`)."""
+    recovered: tuple[str, ...] = ()
+    """Kind and subject of the findings that the night before had and this good one has no more ("camera-lost roof")."""
     dated: bool = True
     """Do the names of the captures tell their night?  If not, each run is of the newest pictures, whatever their date."""
     results: Annotated[Mapping[str, SiteSummary], Field(exclude=True)] = field(default_factory=dict)

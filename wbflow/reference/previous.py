@@ -24,7 +24,7 @@ _TASK = Task(CHANGES)
 class _Candidate(NamedTuple):
     record: RunRecord
     key: str
-    """Cache key of its changes; "" if its log is gone."""
+    """Cache key of its changes; "" if its log is gone: no receipt has this key."""
 
 
 @dataclass
@@ -49,8 +49,7 @@ class PreviousNight:
         If they are gone (cleaned up, or in quarantine), those of the night before it are taken.
         """
         while self._candidate:
-            key = self._candidate.key
-            receipt = self.cache.by_key(_TASK, key) if key else None
+            receipt = self.cache.by_key(_TASK, self._candidate.key)
             if receipt and receipt.file:
                 return receipt
             self.lost.append(self._candidate.record.date)
@@ -59,7 +58,9 @@ class PreviousNight:
 
     def record(self) -> RunRecord | None:
         """Return the run of that night; None if there is no such night."""
-        return self._candidate.record if self.receipt() and self._candidate else None
+        if self._candidate is None or self.receipt() is None:
+            return None
+        return self._candidate.record
 
     @cached_property
     def highest_id(self) -> int:
@@ -78,4 +79,6 @@ def _key_of(folder: RunFolder) -> str:
         event = folder.tasks().get(_TASK)
     except NoSuchRun:
         return ""
-    return event.key or "" if event and event.usable else ""
+    if event is None or not event.usable:
+        return ""
+    return event.key or ""

@@ -65,7 +65,8 @@ def parts_of(data: ReportData, album: Pictures) -> list[Part]:
         gone_text = ""
         if stage.name == CHANGES:
             gone_text = _gone_text(data)
-        figures = tuple(shown(vars(result)))
+        # the highest id is for the next night, not for people
+        figures = tuple(shown({name: value for name, value in vars(result).items() if name != "highest_id"}))
         volumes = tuple(volume_rows(result, data.unit))
         rows.append(Part(title, reason, result.files, gone_text, picture, figures, volumes, tuple(things)))
     return rows
@@ -78,7 +79,7 @@ def _gone_text(data: ReportData) -> str:
         return ""
     gone = []
     for change in since.gone.values():
-        gone.append(f"{change.kind or 'something'} ({_dimensions(change, data.unit)})")
+        gone.append(f"{change.id} {change.kind} ({_dimensions(change, data.unit)})")
     return f"Differed on {since.date}, the last good night, and are as in the reference again: {', '.join(gone)}."
 
 

@@ -132,12 +132,15 @@ def _check_finding(site: Site, name: str) -> None:
 def _standing_change(site: Site, name: str) -> str:
     """Return a change in words.  Raises UsageError if the newest night that was compared does not have it."""
     newest = newest_compared(site.work_folder)
-    changes = newest.changes if newest else {}
-    unit = newest.unit if newest else ""
+    if newest is None:
+        raise UsageError(f"there is no change {name}", remedy="no night has been compared with a reference yet")
+    changes = newest.changes
+    unit = newest.unit
     if name in changes:
         return changes[name].words(unit)
-    listed = "; ".join(f"{change.id} {change.words(unit)}" for change in changes.values())
-    remedy = f"the changes of the newest night: {listed or 'none'}"
+    # what there is instead
+    texts = [f"{change.id} {change.words(unit)}" for change in changes.values()]
+    remedy = f"the changes of the newest night: {'; '.join(texts) or 'none'}"
     ended = ended_change(site.work_folder, name)
     if ended:
         change, night = ended

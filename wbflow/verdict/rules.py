@@ -133,12 +133,18 @@ def judge(record: RunRecord, facts: Facts) -> RunRecord:
     elif "degraded" in levels:
         level = "degraded"
     code = ExitCode.INTERRUPTED if facts.interrupted else ExitCode[level.upper()]
-    # 4. what a good night no more has
-    recovered: tuple[str, ...] = ()
-    if level == "good" and facts.earlier and facts.earlier[0].verdict:
-        still = {name_of(entry) for entry in reported}
-        recovered = tuple(name for entry in facts.earlier[0].verdict.findings if (name := name_of(entry)) not in still)
-    return replace(record, verdict=Verdict(level, findings, acknowledged, recovered), exit_code=code)
+    recovered = _recovered(reported, facts.earlier) if level == "good" else ()
+    return replace(record, verdict=Verdict(level, findings, acknowledged), exit_code=code, recovered=recovered)
+
+
+def _recovered(reported: list[Finding], earlier: tuple[RunRecord, ...]) -> tuple[str, ...]:
+    """Return the findings of the night before that are no more; those of the whole site only if there are no others."""
+    if not earlier or earlier[0].verdict is None:
+        return ()
+    still = {name_of(entry) for entry in reported}
+    ended = [entry for entry in earlier[0].verdict.findings if name_of(entry) not in still]
+    of_cameras = [entry for entry in ended if entry.subject]
+    return tuple(name_of(entry) for entry in of_cameras or ended)
 
 
 def _is_tolerated(entry: Finding, record: RunRecord, facts: Facts) -> bool:
