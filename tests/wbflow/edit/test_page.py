@@ -197,7 +197,7 @@ def test_a_control_point_without_coordinates_is_marked_and_the_rest_is_saved(pag
     page.keys(Keys.ENTER)
     message = page.save()
     assert message.startswith("Saved ")
-    assert "Not saved: point point-2: its coordinates are missing" in message
+    assert "Not saved: control point point-2: its coordinates are missing" in message
     assert len(page.data["cameras"][0]["privacy"]) == 2
     assert len(page.data["control_points"]) == 1
     row = page.browser.find_element("css selector", "#points li.fault")
@@ -212,7 +212,7 @@ def test_a_control_point_without_coordinates_is_marked_and_the_rest_is_saved(pag
     for name, value in zip("yz", ("2", "0.5"), strict=True):
         row = page.browser.find_element("css selector", "#points li.fault")
         row.find_element("css selector", f"input[placeholder={name}]").send_keys(value, Keys.ENTER)
-    assert "Not saved: point point-2: fewer than two cameras see it" in page.save()
+    assert "Not saved: control point point-2: fewer than two cameras see it" in page.save()
     page.browser.find_element("css selector", "#points li.fault input").click()
     page.tool("point")
     page.to("roof")

@@ -106,7 +106,8 @@ function unsaved({ kind, camera, drawn: at, was, why }, drawn) { // puts back wh
   const listOf = (marks) => ({ point: marks.points, zone: marks.zones, privacy: marks.cameras[camera]?.privacy })[kind];
   const list = listOf(edit.marks), item = at === null ? list[was] : { ...listOf(drawn)[at], was, fault: why };
   if (at !== null && was === null) list.push(item); else if (at !== null) list[was] = item;
-  return `Not saved: ${kind === "privacy" ? `a privacy polygon of ${camera}` : `${kind} ${item.id || item.name || ""}`}: ${why}`;
+  const words = { privacy: `a privacy polygon of ${camera}`, zone: `zone ${item.name}`, point: `control point ${item.id}` }[kind];
+  return `Not saved: ${words}: ${why}`;
 }
 async function done() {
   if (packed() !== edit.saved && !confirm("What was not saved will be lost.")) return;
