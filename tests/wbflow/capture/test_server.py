@@ -62,7 +62,7 @@ SNAPSHOTS: dict[str, bytes] = {
 
 
 class Camera(BaseHTTPRequestHandler):
-    """Serves /stream/NAME, /snapshot/NAME, /login/WAYS, /redirect/..., and faults."""
+    """Serves /stream/NAME, /snapshot/NAME, /live/, /login/WAYS, /redirect/..., and faults."""
 
     protocol_version = "HTTP/1.1"
     server: Any
@@ -75,6 +75,11 @@ class Camera(BaseHTTPRequestHandler):
 
     def _snapshot(self, name: str) -> None:
         self._send(SNAPSHOTS[name])
+
+    def _live(self, name: str) -> None:
+        """Another file at each request, as a live camera sends: its comment (JPEG's COM segment) holds the time."""
+        comment = time.time_ns().to_bytes(8, "big")
+        self._send(PICTURES[0][:2] + b"\xff\xfe\x00\x0a" + comment + PICTURES[0][2:])
 
     def _stream(self, name: str) -> None:
         kind, before, behind = STREAMS[name.removesuffix("-chunked")]
@@ -326,7 +331,7 @@ def site(folder: Path, cameras: list[dict[str, Any]], **captures: Any) -> Path:
 
 
 def test_a_site_of_cameras_on_the_network_needs_no_folder(tmp_path: Path, address: str) -> None:
-    file = site(tmp_path, [{"id": name, "url": f"{address}/snapshot/whole"} for name in ("gate", "roof")])
+    file = site(tmp_path, [{"id": name, "url": f"{address}/live"} for name in ("gate", "roof")])
     result = CliRunner().invoke(main, ["capture", str(file)])
     assert result.exit_code == 0, result.output
     assert len(list(tmp_path.glob("captures/*/*.jpg"))) == 4
