@@ -70,7 +70,7 @@ def test_a_backlog_ends_with_a_table_of_its_nights(toy_site_of_dates: ToySite) -
     toy.capture("roof", "2026-11-02").write_text("broken")
     result = toy.wbflow("run", "--since", "2026-11-01", "--jobs", "1")
     head, first, second = result.stdout.splitlines()[-3:]
-    assert " ".join(head.split()) == "site night verdict points first finding, or what has changed"
+    assert " ".join(head.split()) == "site night verdict points first finding"
     assert first.split()[:3] == ["toy", "2026-11-01", "good"]
     assert second.split()[:3] == ["toy", "2026-11-02", "degraded"]
     assert "is not an image" in second
