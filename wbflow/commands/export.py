@@ -43,7 +43,7 @@ def export(run: Run, out: Path, forms: frozenset[str]) -> Iterator[Path]:
             for name, data in load(row.function)(**arguments):
                 write_atomic(out / name, data)
                 yield out / name
-        except ValueError as error:
+        except (ValueError, RuntimeError, ImportError) as error:  # also of the format's library, which may not load
             raise WbflowError(f"run {run.id}: {error}") from error
 
 

@@ -286,6 +286,21 @@ def test_an_export_that_cannot_be_made_does_not_stop_the_others(
     assert {path.relative_to(tmp_path / "out").parts[0] for path in written} == {"depth", "colmap"}
 
 
+@pytest.mark.parametrize("fault", [ValueError("no point"), RuntimeError("the library gave up"), ImportError("no libGL.so.1")])
+def test_an_export_whose_library_fails_does_not_stop_the_others(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    def fail(**results: object) -> None:
+        raise fault
+
+    monkeypatch.setattr("wbflow_stages.exports.forms.heights", fail)
+    result = wbflow_export(site, tmp_path / "out", "--laz", "--heights", "--depth")
+    assert result.exit_code == 1
+    assert f"--heights was not made: run {(work(site) / 'runs' / 'latest').resolve().name}: {fault}" in result.stderr
+    assert "1 of 3 exports not made" in result.stderr
+    assert {path.relative_to(tmp_path / "out").parts[0] for path in (tmp_path / "out").rglob("*")} == {"cloud.laz", "depth"}
+
+
 def test_a_night_is_compared_with_a_scan_of_its_site(site: Path, tmp_path: Path) -> None:
     truth, shifted = read_ply(site / "truth" / "reference.ply"), tmp_path / "scan.ply"
     at = np.column_stack([truth[axis] for axis in "xyz"]) + np.array([0.4, -0.3, 0.2])
