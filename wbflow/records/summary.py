@@ -5,12 +5,14 @@ The ledger keeps it, so that a page over hundreds of nights reads no run.json, a
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from wbflow_stages.contracts.ground_figures import CutFill
 
+from ..cache.layout import started_by
 from ..json_dataclass import JsonDataclass
 from ..pipeline.meanings import BOOKKEEPING
 from ..pipeline.summaries import RecordedChange
@@ -74,38 +76,70 @@ class RunSummary(JsonDataclass):
     volumes: Mapping[str, CutFill] = field(default_factory=dict)
     """Volumes gained and lost, by zone; "" is the whole site."""
     changes: tuple[ChangeSummary, ...] = ()
+    new: tuple[str, ...] = ()
+    """Ids of the changes that it saw first."""
     gone: tuple[str, ...] = ()
     """Ids of the changes of the night before that are there no more."""
 
 
 def summary_of(record: RunRecord) -> RunSummary:
     """Return the summary of a run."""
-    level = "good" if record.exit_code == 0 else "degraded" if record.cloud else "failed"
+    # 1. the verdict; runs of earlier versions have none
+    level = "failed"
     findings: tuple[Finding, ...] = ()
     if record.verdict:
         level = record.verdict.level
         findings = record.verdict.findings
-    compared = record.compared
+    elif record.exit_code == 0:
+        level = "good"
+    elif record.cloud:
+        level = "degraded"
+
+    # 2. what has changed
+    volumes: Mapping[str, CutFill] = {}
+    gone: tuple[str, ...] = ()
+    if record.compared:
+        volumes = record.compared.volumes
+        gone = tuple(record.compared.gone)
+    changes = []
+    new = []
+    for name, change in record.changes.items():
+        changes.append(_change(name, change, record))
+        if change.first == record.date:
+            new.append(name)
+
     return RunSummary(
         run=record.run,
-        date=record.date,
+        date=_night(record),
         level=level,
         findings=tuple(FindingSummary(str(finding), finding.remedy) for finding in findings[:MOST_FINDINGS]),
         finding_count=len(findings),
         unit=record.unit,
-        compared=compared is not None,
+        compared=record.compared is not None,
         figures=_figures(record),
-        volumes=compared.volumes if compared else {},
-        changes=tuple(_change(name, change, record) for name, change in record.changes.items()),
-        gone=tuple(compared.gone) if compared else (),
+        volumes=volumes,
+        changes=tuple(changes),
+        new=tuple(new),
+        gone=gone,
     )
+
+
+def _night(record: RunRecord) -> str:
+    """Return the night of a run, which is never days after the run: a clock may be years ahead."""
+    started = started_by(record.run)
+    if started is None:
+        return record.date
+    # a day ahead is no fault: runs are named in UTC
+    latest = started.date() + datetime.timedelta(days=1)
+    return min(record.date, latest.isoformat())
 
 
 def _change(name: str, change: RecordedChange, record: RunRecord) -> ChangeSummary:
     picture = ""
-    for file in record.compared.files if record.compared else ():
-        if Path(file).stem.endswith(f"-{name}"):
-            picture = file
+    if record.compared:
+        for file in record.compared.files:
+            if Path(file).stem.endswith(f"-{name}"):
+                picture = file
     return ChangeSummary(
         id=name,
         kind=change.kind,

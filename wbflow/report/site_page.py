@@ -1,38 +1,30 @@
 """The page about one site: a calendar of all its nights with their verdicts, its changes from first to last night, trends.
 
-It is made from the summaries in the ledger, so that hundreds of nights cost less than a second, and nights whose folders are gone
-stay in it.  Each report links to it, and it to each report.
+Each report links to it, and it to each report.
 """
 
 from __future__ import annotations
 
 import calendar
 import datetime
-import os
 import platform
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
-from urllib.parse import quote
 
 from ..cache.atomic import write_atomic
 from ..cache.layout import WorkFolder
-from ..cache.untrusted import read_untrusted
 from ..pipeline.meanings import meaning, titled
-from ..pipeline.summaries import volume_words
-from ..records.killed_runs import KilledRun, killed_runs
-from ..records.ledger import Ledger
 from ..records.run_folder import NoSuchRun
-from ..records.summary import ChangeSummary, RunSummary
+from ..records.summary import RunSummary
 from ..site.models import Site
 from . import render
-from .pictures import data_url
+from .site_nights import Night, nights_of, things_of, unit_of
 from .timeline import Chart, Period, Sample, chart
 
-KILLED = "killed"
-"""State of a night whose only runs were killed; those of other nights are the levels of verdicts."""
-_MOST_PICTURES_BYTES = 4_000_000
-"""Pictures of changes are shown, the largest changes first, until they take this many bytes."""
+_MOST_GONE = 10
+"""Largest number of changes that are there no more that are shown at once; earlier ones are folded."""
+_MOST_MONTHS = 12
+"""Largest number of months that are shown at once; earlier ones are folded."""
 _TITLES = {
     "points": ("points in the cloud", ""),
     "cameras": ("cameras in use", ""),
@@ -40,68 +32,8 @@ _TITLES = {
     "seconds": ("time of a run", "s"),
 }
 """Title and unit of the figures that no stage reports."""
-_MOST_GONE = 10
-"""Largest number of changes that are there no more that are shown at once; earlier ones are folded."""
 _UNITS = {"m", "m²", "m³", "px"}
 """Units with which the title of a figure may end, after a comma."""
-
-
-@dataclass(frozen=True)
-class Night:
-    """A night on the page: its last run that was published."""
-
-    date: str
-    state: str
-    """good, degraded, failed or killed."""
-    run: RunSummary | None
-    """None if all its runs were killed."""
-    report: str
-    """Link to its report; "" if there is none any more."""
-    cleaned: bool
-    """Has its folder been removed?"""
-    killed: tuple[KilledRun, ...]
-    """Its runs that were killed."""
-    run_count: int
-    new: tuple[str, ...]
-    """Ids of the changes that it saw first."""
-    gone: tuple[str, ...]
-    """Ids of the changes that are there no more since it."""
-
-    @property
-    def day(self) -> datetime.date:
-        return datetime.date.fromisoformat(self.date)
-
-    @property
-    def title(self) -> str:
-        """The night in words, for the calendar."""
-        words = [f"{self.date}: {self.state}"]
-        if self.new:
-            words.append(f"new {', '.join(self.new)}")
-        if self.gone:
-            words.append(f"gone {', '.join(self.gone)}")
-        return "; ".join(words)
-
-
-@dataclass(frozen=True)
-class Thing:
-    """A change, from its first night to its last."""
-
-    change: ChangeSummary
-    """As it was seen on its last night."""
-    volume: str
-    """Its volume in words."""
-    end: str
-    """The night since which it is there no more, or is not compared any more; "" if it is still there."""
-    is_gone: bool
-    """False: nights are compared with another reference since its end."""
-    report: str
-    """Link to the report of the last night; "" if there is none any more."""
-    picture: str
-    """URL of its data; "" if there is none any more."""
-    left: float
-    width: float
-    """Where its nights lie within those of the page, in percent."""
-
 
 Week = Sequence[tuple[datetime.date | None, Night | None]]
 """Seven days, Monday first; None for days of other months, and for nights without a run."""
@@ -122,127 +54,36 @@ def write_site_page(site: Site, out: Path | None = None) -> Path:
 def site_page(site: Site, out: Path) -> str:
     """Return the HTML page about all nights of a site.  out: the file it will be written to; links are relative to it.
 
-    Raises NoSuchRun if there is no run.
+    Raises NoSuchRun if there is no run; OSError, sqlite3.Error.
     """
     work = site.work_folder
-    folder = out.resolve().parent
-    with Ledger(work) as ledger:
-        runs = ledger.summaries()
-    nights = _nights(work, runs, killed_runs(work), folder)
+    nights = nights_of(work, out.resolve().parent)
     if not nights:
         raise NoSuchRun(f"{work.root} has no runs yet", remedy="wbflow run SITE.yaml  makes one")
-    things = _things(work, nights)
+    period = Period(nights[0].day, nights[-1].day)
+    reports = [night.report for night in nights if night.report]
     return render(
         "site.html",
         site=site,
         nights=nights,
         newest=nights[-1],
-        newest_report=next((night.report for night in reversed(nights) if night.report), ""),
+        newest_report=reports[-1] if reports else "",
         months=_months(nights),
-        there=[thing for thing in things if not thing.end],
-        gone=[thing for thing in things if thing.end],
+        most_months=_MOST_MONTHS,
+        things=things_of(work, nights, period),
         most_gone=_MOST_GONE,
-        charts=_charts(nights),
+        charts=_charts(nights, period),
         days={night.date: f"#night-{night.date}" for night in nights},
-        unit=_unit(nights),
+        unit=unit_of(nights),
         place=place_of(work),
     )
 
 
 def place_of(work: WorkFolder) -> str:
     """Return where the page of a site is, for a person to whom one of its reports was sent."""
-    return f"{work.store}/{work.site_page.name}" if work.store else f"{work.site_page.absolute()} on {platform.node()}"
-
-
-def _nights(work: WorkFolder, runs: Sequence[RunSummary], killed: Sequence[KilledRun], folder: Path) -> list[Night]:
-    """Return all nights, oldest first.  runs, killed: oldest first; folder: that of the page."""
-    runs_of: dict[str, list[RunSummary]] = {}
-    killed_of: dict[str, list[KilledRun]] = {}
-    for run in runs:
-        runs_of.setdefault(run.date, []).append(run)
-    for dead in killed:
-        killed_of.setdefault(dead.date, []).append(dead)
-    shown = {date: of_night[-1] for date, of_night in sorted(runs_of.items())}
-    nights = []
-    for date in sorted(runs_of.keys() | killed_of.keys()):
-        last = shown.get(date)
-        paths = work.run(last.run) if last else None
-        nights.append(
-            Night(
-                date=date,
-                state=last.level if last else KILLED,
-                run=last,
-                report=_link(paths.report, folder) if paths and paths.report.is_file() else "",
-                cleaned=paths is not None and not paths.record.is_file(),
-                killed=tuple(killed_of.get(date, ())),
-                run_count=len(runs_of.get(date, ())) + len(killed_of.get(date, ())),
-                new=tuple(change.id for change in last.changes if change.first == date) if last else (),
-                gone=last.gone if last else (),
-            )
-        )
-    return nights
-
-
-def _link(path: Path, folder: Path) -> str:
-    return quote(Path(os.path.relpath(path, folder)).as_posix())
-
-
-def _things(work: WorkFolder, nights: Sequence[Night]) -> list[Thing]:
-    """Return every change: those that are there first, the newest first."""
-    period = Period(nights[0].day, nights[-1].day)
-    unit = _unit(nights)
-    # 1. the last night of each change, and the night since which it is gone
-    compared = [night for night in nights if night.run and night.run.compared]
-    last_of: dict[str, tuple[int, ChangeSummary]] = {}
-    gone_on: dict[str, str] = {}
-    for index, night in enumerate(compared):
-        for change in night.run.changes if night.run else ():
-            last_of[change.id] = (index, change)
-        gone_on.update(dict.fromkeys(night.gone, night.date))
-    # 2. how each of them ended
-    things = []
-    for name, (index, change) in last_of.items():
-        last = compared[index]
-        next_date = compared[index + 1].date if index + 1 < len(compared) else ""
-        interval = (change.volume_least, change.volume_most)
-        left, width = period.part(max(datetime.date.fromisoformat(change.first), period.first), last.day)
-        things.append(
-            Thing(
-                change=change,
-                volume=volume_words(interval, (change.volume, change.volume_sigma), unit),
-                end=gone_on.get(name, next_date),
-                is_gone=name in gone_on,
-                report=last.report,
-                picture="",
-                left=left,
-                width=width,
-            )
-        )
-    things.sort(key=lambda thing: (not thing.end, thing.end, thing.change.first), reverse=True)
-    return _with_pictures(work, compared, things)
-
-
-def _with_pictures(work: WorkFolder, compared: Sequence[Night], things: Iterable[Thing]) -> list[Thing]:
-    """Return the changes, those that are still there with their pictures, as long as these fit."""
-    newest = compared[-1].run if compared else None
-    bytes_left = _MOST_PICTURES_BYTES
-    pictured = []
-    for thing in things:
-        if newest and thing.change.picture and not thing.end:
-            picture = _picture(work.run(newest.run).folder / thing.change.picture)
-            if len(picture) <= bytes_left:
-                bytes_left -= len(picture)
-                thing = replace(thing, picture=picture)
-        pictured.append(thing)
-    return pictured
-
-
-def _picture(file: Path) -> str:
-    """Return a picture as the URL of its data; "" if it is gone."""
-    try:
-        return data_url(read_untrusted(file))
-    except OSError:
-        return ""
+    if work.store:
+        return f"{work.store}/{work.site_page.name}"
+    return f"{work.site_page.absolute()} on {platform.node()}"
 
 
 def _months(nights: Sequence[Night]) -> list[tuple[str, list[Week]]]:
@@ -251,34 +92,39 @@ def _months(nights: Sequence[Night]) -> list[tuple[str, list[Week]]]:
     months = []
     for year, month in sorted({(day.year, day.month) for day in night_of}, reverse=True):
         weeks: list[Week] = []
-        for week in calendar.Calendar().monthdatescalendar(year, month):
-            weeks.append([(day, night_of.get(day)) if day.month == month else (None, None) for day in week])
+        for days in calendar.Calendar().monthdatescalendar(year, month):
+            week: list[tuple[datetime.date | None, Night | None]] = []
+            for day in days:
+                if day.month == month:
+                    week.append((day, night_of.get(day)))
+                else:
+                    week.append((None, None))
+            weeks.append(week)
         months.append((f"{datetime.date(year, month, 1):%B %Y}", weeks))
     return months
 
 
-def _charts(nights: Sequence[Night]) -> list[Chart]:
-    """Return a chart for each figure of the nights."""
+def _charts(nights: Sequence[Night], period: Period) -> list[Chart]:
+    """Return a chart for each figure of the nights; those that say most come first.  period: the days of the page."""
     runs = [night.run for night in nights if night.run]
-    unit = _unit(nights)
-    cubic = f"{unit}³" if unit else ""
-    series: dict[tuple[str, str], list[Sample]] = {("points in the cloud", ""): []}
+    points = ("points in the cloud", "")
+    series: dict[tuple[str, str], list[Sample]] = {points: []}  # by title and unit
     for run in runs:
         for zone, part in run.volumes.items():
-            of_zone = f" in {zone}" if zone else ""
+            where = f" in {zone}" if zone else ""
+            cubic = f"{run.unit}³" if run.unit else ""
             gained = _volume(run, part.gained, part.gained_least, part.gained_most)
             lost = _volume(run, part.lost, part.lost_least, part.lost_most)
-            series.setdefault((f"volume gained{of_zone}", cubic), []).append(gained)
-            series.setdefault((f"volume lost{of_zone}", cubic), []).append(lost)
+            series.setdefault((f"volume gained{where}", cubic), []).append(gained)
+            series.setdefault((f"volume lost{where}", cubic), []).append(lost)
     for run in runs:
         day = datetime.date.fromisoformat(run.date)
         for name, value in run.figures.items():
-            title, figure_unit, scale = _titled(name)
-            series.setdefault((title, figure_unit), []).append(Sample(day, scale * value, run.level))
-    period = Period(nights[0].day, nights[-1].day)
+            title, unit, scale = _titled(name)
+            series.setdefault((title, unit), []).append(Sample(day, scale * value, run.level))
     charts = []
-    for (title, figure_unit), samples in series.items():
-        drawn = chart(title, figure_unit, samples, period)
+    for (title, unit), samples in series.items():
+        drawn = chart(title, unit, samples, period)
         if drawn:
             charts.append(drawn)
     return charts
@@ -287,21 +133,22 @@ def _charts(nights: Sequence[Night]) -> list[Chart]:
 def _volume(run: RunSummary, seen: float, least: float, most: float) -> Sample:
     """Return the sample of a volume; its interval is unknown where its upper end is below what was seen."""
     day = datetime.date.fromisoformat(run.date)
-    return Sample(day, seen, run.level, least, most) if most >= seen else Sample(day, seen, run.level)
+    if most < seen:
+        return Sample(day, seen, run.level)
+    return Sample(day, seen, run.level, least, most)
 
 
 def _titled(name: str) -> tuple[str, str, float]:
     """Return the title of a figure of `RunSummary.figures`, its unit, and the factor to it."""
     if name in _TITLES:
-        return *_TITLES[name], 1.0
-    figure = name.partition(".")[2]
+        title, unit = _TITLES[name]
+        return title, unit, 1.0
+    _, _, figure = name.partition(".")
+    words = titled(figure)
     if meaning(figure).share:
-        return titled(figure), "%", 100.0
-    title, _, unit = titled(figure).rpartition(", ")
-    return (title, unit, 1.0) if unit in _UNITS else (titled(figure), "", 1.0)
-
-
-def _unit(nights: Sequence[Night]) -> str:
-    """Return the unit of lengths of the newest run."""
-    units = [night.run.unit for night in nights if night.run]
-    return units[-1] if units else ""
+        return words, "%", 100.0
+    # "ground, m²" names its unit
+    title, _, unit = words.rpartition(", ")
+    if unit in _UNITS:
+        return title, unit, 1.0
+    return words, "", 1.0

@@ -23,6 +23,8 @@ _HALF_DATE = 24.0
 """Half the width of a date."""
 _MOST_DATES = 4
 """Largest number of dates below a chart."""
+_SIZES = ((1e9, 1e9, "G"), (1e6, 1e6, "M"), (1e4, 1e3, "k"))
+"""How large values are written: from which value on, in which unit."""
 _STEPS_OF_DAYS = (1, 2, 3, 5, 7, 14)
 _STEPS_OF_MONTHS = (1, 2, 3, 6, 12, 24, 60)
 
@@ -56,6 +58,23 @@ class Sample:
     least: float | None = None
     """Interval that holds the true value, if it is known."""
     most: float | None = None
+
+    @property
+    def low(self) -> float:
+        """The lower end of the interval, or the value."""
+        return self.value if self.least is None else self.least
+
+    @property
+    def high(self) -> float:
+        """The upper end of the interval, or the value."""
+        return self.value if self.most is None else self.most
+
+    def words(self, unit: str) -> str:
+        """Return the value with its unit and its interval."""
+        words = f"{number(self.value)} {unit}".strip()
+        if self.least is None or self.most is None:
+            return words
+        return f"{words} ({number(self.least)} to {number(self.most)})"
 
 
 @dataclass(frozen=True)
@@ -99,11 +118,9 @@ def chart(title: str, unit: str, samples: Sequence[Sample], period: Period) -> C
     """
     if len(samples) < 2 or not any(sample.value for sample in samples):
         return None
-    # 1. the axis: from 0, unless all values are far above it
-    lows = [sample.value if sample.least is None else sample.least for sample in samples]
-    highs = [sample.value if sample.most is None else sample.most for sample in samples]
-    low = min(lows)
-    high = max(highs)
+    # 1. The axis: from 0, unless all values are far above it.
+    low = min(sample.low for sample in samples)
+    high = max(sample.high for sample in samples)
     if 0 < low < 0.5 * high:
         low = 0.0
     axis = axis_of(low, high, whole=all(float(sample.value).is_integer() for sample in samples))
@@ -113,27 +130,30 @@ def chart(title: str, unit: str, samples: Sequence[Sample], period: Period) -> C
     def y(value: float) -> float:
         return round(HEIGHT - _BOTTOM - (value - axis[0]) / span * (HEIGHT - _BOTTOM - _EDGE), 1)
 
-    # 2. the samples
+    # 2. The samples, and around them the polygon of their intervals: forwards along the upper ends, back along the lower ones.
     dots = []
+    upper = []
+    lower = []
     for sample in samples:
-        words = f"{number(sample.value)} {unit}".strip()
-        if sample.least is not None and sample.most is not None:
-            words = f"{words} ({number(sample.least)} to {number(sample.most)})"
-        dots.append(Dot(period.x(sample.day), y(sample.value), sample.state, sample.day.isoformat(), words))
-    band = []
-    if all(sample.least is not None for sample in samples):
-        band = [f"{dot.x},{y(value)}" for dot, value in zip(dots, highs, strict=True)]
-        band += [f"{dot.x},{y(value)}" for dot, value in zip(reversed(dots), reversed(lows), strict=True)]
-    # 3. the labels
+        x = period.x(sample.day)
+        dots.append(Dot(x, y(sample.value), sample.state, sample.day.isoformat(), sample.words(unit)))
+        upper.append(f"{x},{y(sample.high)}")
+        lower.append(f"{x},{y(sample.low)}")
+    has_intervals = all(sample.least is not None for sample in samples)
+    band = " ".join([*upper, *reversed(lower)]) if has_intervals else ""
+
+    # 3. The labels; a date at the right edge ends there.
     ticks = [(y(value), _label(value, decimals)) for value in axis]
     dates = []
     for day, words in _dates(period):
         x = period.x(day)
-        anchor = "end" if x > WIDTH - _HALF_DATE else "start" if x < _HALF_DATE else "middle"
+        anchor = "middle"
+        if x > WIDTH - _HALF_DATE:
+            anchor = "end"
         dates.append((x, words, anchor))
     name = f"{title}, {unit}" if unit else title
     now = f"{number(samples[-1].value)} {unit}".strip()
-    return Chart(name, now, dots, " ".join(band), ticks, dates)
+    return Chart(name, now, dots, band, ticks, dates)
 
 
 def axis_of(low: float, high: float, whole: bool = False) -> list[float]:
@@ -143,7 +163,10 @@ def axis_of(low: float, high: float, whole: bool = False) -> list[float]:
     """
     most_step = (high - low or abs(high) or 1.0) / _INTERVALS
     decade = 10.0 ** math.floor(math.log10(most_step))
-    step = max(multiple * decade for multiple in (1.0, 2.0, 5.0) if multiple * decade <= most_step * (1 + 1e-9))
+    step = decade
+    for multiple in (2.0, 5.0):
+        if multiple * decade <= most_step * (1 + 1e-9):
+            step = multiple * decade
     if whole:
         step = max(step, 1.0)
     first = math.floor(low / step + 1e-9)
@@ -158,8 +181,9 @@ def _dates(period: Period) -> list[tuple[datetime.date, str]]:
     span = (last - first).days
     for step in _STEPS_OF_DAYS:
         if span <= step * _MOST_DATES:
-            days = [last - datetime.timedelta(days=step * k) for k in range(span // step + 1)]
-            return [(day, f"{day.day} {day:%b}") for day in reversed(days[:_MOST_DATES])]
+            count = min(span // step + 1, _MOST_DATES)
+            days = [last - datetime.timedelta(days=step * k) for k in reversed(range(count))]
+            return [(day, f"{day.day} {day:%b}") for day in days]
     # months are counted from the year 0: a January's number is a multiple of 12
     months = range(first.year * 12 + first.month, last.year * 12 + last.month)  # those that begin between the two days
     step = next((step for step in _STEPS_OF_MONTHS if len(months) <= step * _MOST_DATES), _STEPS_OF_MONTHS[-1])
@@ -177,7 +201,7 @@ def _decimals(step: float) -> int:
 
 def _label(value: float, decimals: int) -> str:
     """Return a value on an axis, at most six characters wide."""
-    for size, letter in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
-        if abs(value) >= size:
-            return f"{value / (1e3 if letter == 'k' else size):g} {letter}"
+    for least, size, letter in _SIZES:
+        if abs(value) >= least:
+            return f"{value / size:g} {letter}"
     return f"{value:,.{decimals}f}"

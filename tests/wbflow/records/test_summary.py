@@ -42,6 +42,13 @@ def test_a_summary_has_verdict_figures_changes_and_volumes() -> None:
     assert RunSummary.from_json(found.to_json()) == found
 
 
+def test_a_camera_clock_that_is_years_ahead_puts_no_night_into_the_future() -> None:
+    run = "20261120T031500Z"
+    assert summary_of(replace(NIGHT, run=run, date="2037-01-01")).date == "2026-11-21"
+    assert summary_of(replace(NIGHT, run=run, date="2026-11-21")).date == "2026-11-21", "east of Greenwich"
+    assert summary_of(replace(NIGHT, run=run, date="2019-05-01")).date == "2019-05-01", "an old night may be run at any time"
+
+
 def test_the_summary_of_a_night_with_many_findings_stays_short() -> None:
     many = tuple(Finding("camera-lost", (f"cam-{k}",), f"cam-{k} is gone") for k in range(300))
     found = summary_of(replace(NIGHT, verdict=Verdict("failed", many)))
