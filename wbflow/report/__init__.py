@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import platform
 from typing import Any
+
+from ..cache.layout import WorkFolder
+
+
+def place_of(work: WorkFolder) -> str:
+    """Return where the page about all nights of a site is, for a person to whom one of its reports was sent."""
+    if work.store:
+        return f"{work.store}/{work.site_page.name}"
+    return f"{work.site_page.absolute()} on {platform.node()}"
 
 
 def render(template: str, **content: Any) -> str:

@@ -22,13 +22,12 @@ from ..records.finished_run import Run
 from ..records.record import RunRecord, moment
 from ..site.models import Site
 from ..words import counted, format_value
-from . import charts, first_screen, render, sections
+from . import charts, first_screen, place_of, render, sections
 from .data import ReportData
 from .map import Map, layers_of
 from .parts import is_picture, parts_of, volume_rows
 from .pictures import Pictures, Points, large_pictures, other_night, other_pictures, points_of, points_of_other
 from .scene import scene_of
-from .site_page import place_of
 
 MOST_BYTES = 14_000_000
 """Approximate limit on the size of a page: large pictures get the bytes that everything else leaves."""

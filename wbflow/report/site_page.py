@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import calendar
 import datetime
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..cache.atomic import write_atomic
-from ..cache.layout import WorkFolder
 from ..pipeline.meanings import meaning, titled
 from ..records.run_folder import NoSuchRun
 from ..records.summary import RunSummary
 from ..site.models import Site
-from . import render
+from . import place_of, render
 from .site_nights import Night, nights_of, things_of, unit_of
 from .timeline import Chart, Period, Sample, chart
 
@@ -77,13 +75,6 @@ def site_page(site: Site, out: Path) -> str:
         unit=unit_of(nights),
         place=place_of(work),
     )
-
-
-def place_of(work: WorkFolder) -> str:
-    """Return where the page of a site is, for a person to whom one of its reports was sent."""
-    if work.store:
-        return f"{work.store}/{work.site_page.name}"
-    return f"{work.site_page.absolute()} on {platform.node()}"
 
 
 def _months(nights: Sequence[Night]) -> list[tuple[str, list[Week]]]:
