@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -130,15 +130,18 @@ def runs(sites: tuple[Path, ...], as_json: bool) -> None:
     from ..records.history import places
 
     loaded = [load(path, None) for path in sites]
-    site_runs = [(site, entry) for site in loaded for entry in places(site.work_folder)]
+    site_runs: list[dict[str, Any]] = []
+    for site in loaded:
+        for entry in places(site.work_folder):
+            site_runs.append({"site": site.name, **entry})
     if as_json:
-        echo_json([{"site": site.name, **entry} for site, entry in site_runs])
+        echo_json(site_runs)
         return
-    for site, entry in site_runs:
+    for entry in site_runs:
         points = f"{entry['points']:,}" if entry["points"] else "-"
         cleaned = "" if entry["folder"] else "  cleaned"
         level = entry["level"] or "-"
-        echo(f"{site.name:20} {entry['night']} {level:9} {points:>11}  {entry['folder'] or entry['run']}{cleaned}")
+        echo(f"{entry['site']:20} {entry['night']} {level:9} {points:>11}  {entry['folder'] or entry['run']}{cleaned}")
 
 
 @click.command()
@@ -332,12 +335,15 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
     loaded = load(site, work)
     folder = loaded.work_folder
     if listed:
-        reference = read_reference(folder)
-        echo("\n".join(map(str, reference.lines())) if reference else f"{loaded.name} has no reference")
+        pinned = read_reference(folder)
+        lines = pinned.lines() if pinned else [f"{loaded.name} has no reference"]
+        for line in lines:
+            echo(line)
         return
     with hold_to_write(folder, wait=False):
         if drop:
-            echo("the reference is dropped" if drop_reference(folder) else f"{loaded.name} has no reference")
+            was_there = drop_reference(folder)
+            echo("the reference is dropped" if was_there else f"{loaded.name} has no reference")
         elif refine:
             _refine_reference(loaded)
         else:
@@ -348,6 +354,7 @@ def pin(site: Path, run_id: str | None, listed: bool, drop: bool, refine: bool, 
 
 
 def _refine_reference(site: Site) -> None:
+    """Pool the measurements of later nights into the reference, and print of which tasks."""
     from ..cache.store import Cache
     from ..records.reference import read_reference
     from ..reference.aggregate import aggregate_nights
@@ -359,10 +366,14 @@ def _refine_reference(site: Site) -> None:
         raise UsageError(f"{site.name} has no reference to refine", remedy=f"first: wbflow pin {site.file}")
     restore(Cache(folder), reference)
     pooled = aggregate_nights(folder, reference, site)
-    echo("\n".join(f"{task}: pooled from {nights} nights" for task, nights in pooled.items()) or "nothing to pool yet")
+    for task, nights in pooled.items():
+        echo(f"{task}: pooled from {nights} nights")
+    if not pooled:
+        echo("nothing to pool yet")
 
 
 def _export_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add an option for each export; click lists those first that are added last."""
     for row in reversed(EXPORTS):
         command = click.option(f"--{row.name}", is_flag=True, help=row.help)(command)
     return command
@@ -383,28 +394,27 @@ def export(site: Path, run_id: str | None, out: Path, work: str | None, **wanted
     wbflow export site.yaml --laz --heights --out maps
     wbflow export site.yaml 20261120T031500Z --colmap --out model
     """
-    names = frozenset(row.name for row in EXPORTS if wanted[row.name])
-    if not names:
+    rows = [row for row in EXPORTS if wanted[row.name]]
+    if not rows:
+        known = ", ".join(f"--{row.name}" for row in EXPORTS)
         example = f"for example: wbflow export {site} --{EXPORTS[0].name} --out {out}"
-        raise UsageError(f"name what to export: {', '.join(f'--{row.name}' for row in EXPORTS)}", remedy=example)
+        raise UsageError(f"name what to export: {known}", remedy=example)
     from ..commands.export import export as write
 
     loaded = load(site, work)
     run = _run_of(loaded, run_id or loaded.work_folder.latest_good.name)
     exit_codes = []
-    for row in EXPORTS:
-        if row.name not in names:
-            continue
+    for row in rows:
         try:
             for file in write(run, out, frozenset({row.name})):
                 echo(file)
         except WbflowError as error:
-            if len(names) == 1:
+            if len(rows) == 1:
                 raise
             echo(f"--{row.name} was not made: {error}", err=True)
             exit_codes.append(error.exit_code)
     if exit_codes:
-        stop(ExitCode(worst(exit_codes)), f"{len(exit_codes)} of {len(names)} exports not made; the others are in {out}")
+        stop(ExitCode(worst(exit_codes)), f"{len(exit_codes)} of {len(rows)} exports not made; the others are in {out}")
 
 
 @click.command()
