@@ -108,7 +108,7 @@ def print_plan(planned: Status) -> None:
     estimate = ""
     if planned.cpu_seconds is not None:
         estimate = f"; about {planned.cpu_seconds:.0f} CPU s, as far as is known"
-    echo(f"night of {planned.night}: {totals_of(planned)}{estimate}")
+    echo(f"night of {planned.night}: {totals_of(planned)}{estimate}", indent=4)
 
 
 def totals_of(planned: Status) -> str:

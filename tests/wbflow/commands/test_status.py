@@ -92,6 +92,15 @@ def test_the_same_reason_is_one_line_with_the_number_of_its_tasks(capsys: pytest
     ]
 
 
+def test_a_plan_fits_the_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    why = "function wbflow_stages.geometry:estimate_geometry → wbflow_stages.reference_reuse:turn_geometry"
+    tasks = (Line("geometry mast-2--mast-3", "would run", why), Line("fuse", "skipped", "", f"camera mast-3 is stale: {why}"))
+    totals = {"cached": 1019, "skipped": 1013, "would run": 1020}
+    print_plan(Status("yard", "2026-11-12", tasks, totals, 12345.0, pairs_to_come=True))
+    assert max(len(line) for line in capsys.readouterr().out.splitlines()) <= 80
+
+
 def test_tasks_that_are_skipped_one_after_another_have_the_reason_of_the_first(toy: ToySite) -> None:
     for camera in toy.cameras[1:]:
         toy.capture(camera).unlink()
