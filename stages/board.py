@@ -184,11 +184,12 @@ def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
         others = [replace(stated, columns=stated.columns + k, rows=stated.rows + k) for k in (-1, 1)]
         if _checkers_seen(stated, few):
             return stated
-        return max([stated, *others], key=lambda board: _checkers_seen(board, few))
+        seen = [_checkers_seen(board, few) for board in others]
+        return others[int(np.argmax(seen))] if any(seen) else stated
     best, most = _best_layout(stated, few)
     if most >= _LEAST_CORNERS * min(_LEAST_PICTURES, len(few)):
         return best
-    for dictionary in _likely_dictionaries(few):
+    for dictionary in _likely_dictionaries(stated, few):
         found, corners = _best_layout(replace(stated, dictionary=dictionary), few)
         if corners > most:
             best = found
@@ -199,8 +200,9 @@ def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
 def _best_layout(stated: Board, sample: Sequence[Uint8s]) -> tuple[Board, int]:
     """The layout that shows the most corners (of equal ones, the one most like what is stated), and their number."""
     # markers are looked for once: that takes most of the time, and they are the same for all layouts
-    upright = [_markers(stated.dictionary, grey, False) for grey in sample]
-    inverted = [_markers(stated.dictionary, grey, True) for grey in sample]
+    most = _most_markers(stated)
+    upright = [_markers(stated.dictionary, grey, False, most) for grey in sample]
+    inverted = [_markers(stated.dictionary, grey, True, most) for grey in sample]
     is_inverted = sum(map(len, inverted)) > sum(map(len, upright))
     markers = inverted if is_inverted else upright
     scored = []
@@ -225,14 +227,20 @@ def _layouts(stated: Board) -> list[Board]:
     return layouts
 
 
-def _likely_dictionaries(sample: Sequence[Uint8s]) -> list[str]:
+def _likely_dictionaries(stated: Board, sample: Sequence[Uint8s]) -> list[str]:
     """The two dictionaries of which the most markers are found, black on white or white on black."""
-    sample = sample[:: max(1, len(sample) // _FEWEST)]
+    most = _most_markers(stated)
     counts: dict[str, int] = {}
     for name in DICTIONARIES:
         if not name.endswith(("_50", "_100", "_250")):  # these are parts of those of 1000
-            counts[name] = max(_marker_count(name, sample, False), _marker_count(name, sample, True))
+            by_polarity = [sum(len(_markers(name, grey, is_inverted, most)) for grey in sample) for is_inverted in (False, True)]
+            counts[name] = max(by_polarity)
     return sorted(counts, key=lambda name: -counts[name])[:2]
+
+
+def _most_markers(stated: Board) -> int:
+    """Most markers that a board may have, however a statement of its size is meant."""
+    return max((board.columns * board.rows + 1) // 2 for board in _layouts(stated))
 
 
 @dataclass(frozen=True)
@@ -248,14 +256,11 @@ class _Markers:
         return len(self.corners)
 
 
-def _markers(dictionary: str, grey: Uint8s, is_inverted: bool) -> _Markers:
-    """The markers in a picture (h, w), black on white or, inverted, white on black."""
-    corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(255 - grey if is_inverted else grey)
+def _markers(dictionary: str, grey: Uint8s, is_inverted: bool, most: int) -> _Markers:
+    """The markers in a picture (h, w), black on white or, inverted, white on black, up to number `most` of a dictionary."""
+    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary, most))
+    corners, ids, _ = detector.detectMarkers(255 - grey if is_inverted else grey)
     return _Markers(corners, ids)
-
-
-def _marker_count(dictionary: str, sample: Sequence[Uint8s], is_inverted: bool) -> int:
-    return sum(len(_markers(dictionary, grey, is_inverted)) for grey in sample)
 
 
 def _checkers_seen(board: Board, sample: Sequence[Uint8s]) -> int:
@@ -292,8 +297,10 @@ def _differences(stated: Board, printed: Board) -> list[str]:
     return notes
 
 
-def _dictionary(name: str) -> Any:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+def _dictionary(name: str, most: int) -> Any:
+    """A dictionary's first markers, at most `most`: boards use these, and more take time and may be mistaken for others."""
+    whole = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+    return cv2.aruco.Dictionary(whole.bytesList[:most], whole.markerSize, whole.maxCorrectionBits)
 
 
 def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
@@ -314,7 +321,7 @@ def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
 
 def _detect_charuco(name: str, grey: Uint8s, board: Board, markers: _Markers | None = None) -> _BoardView | None:
     """The corners of a ChArUco board in a picture (h, w); None if it is not found.  markers: if they are known already."""
-    dictionary = _dictionary(board.dictionary)
+    dictionary = _dictionary(board.dictionary, (board.columns * board.rows + 1) // 2)
     if board.columns * board.rows // 2 > len(dictionary.bytesList):
         return None  # the dictionary has not as many markers as the board
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)

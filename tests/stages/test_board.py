@@ -32,8 +32,8 @@ def seen(texture: Uint8s, rays: Float64s, turn: tuple[float, float, float], shif
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8)
 
 
-def calibrated(folder: Path, texture: Uint8s, *options: str) -> tuple[Lens, str]:
-    """The lens found from seven pictures of a board, and what was printed."""
+def calibrated(folder: Path, texture: Uint8s, *options: str, without_board: int = 0) -> tuple[Lens, str]:
+    """The lens found from seven pictures of a board, and what was printed.  without_board: pictures before them without it."""
     x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = lens_rays(LENS, np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
     places = [(-0.1, -0.05), (0.1, -0.05), (-0.1, 0.06), (0.1, 0.06), (0.0, 0.0), (0.05, 0.02), (-0.04, -0.02)]
@@ -41,6 +41,9 @@ def calibrated(folder: Path, texture: Uint8s, *options: str) -> tuple[Lens, str]
     for k, (a, b) in enumerate(places):
         turn = (0.5 * np.sin(k), 0.5 * np.cos(2 * k), 0.1 * k)
         cv2.imwrite(str(folder / "pictures" / f"{k}.png"), seen(texture, rays, turn, (a, b, 0.36 + 0.02 * k)))
+    for k in range(without_board):
+        noise = np.random.default_rng(k).integers(0, 255, (HEIGHT // 8, WIDTH // 8), np.uint8)
+        cv2.imwrite(str(folder / "pictures" / f"-{k}.png"), cv2.resize(noise, (WIDTH, HEIGHT)))
     command = ["calibrate", "gate", str(folder / "pictures"), "--square", str(SQUARE), *options, "--out", str(folder)]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
@@ -97,6 +100,21 @@ def test_the_dictionary_of_the_markers_is_found_out(tmp_path: Path, dictionary: 
     family = dictionary.rsplit("_", 1)[0] if dictionary[1] == "X" else dictionary
     if dictionary != "4X4_1000":  # its first markers are those of the default, 4X4_50
         assert f"of the dictionary {family}" in output
+
+
+@pytest.mark.parametrize("without_board", [1, 3])
+def test_pictures_without_the_board_do_not_hide_its_dictionary(tmp_path: Path, without_board: int) -> None:
+    texture = charuco(10, 7, "5X5_100", inverted=True)
+    lens, output = calibrated(tmp_path, texture, "--board", "10x7", "--marker", "0.022", without_board=without_board)
+    assert_is_the_lens(lens)
+    assert "of the dictionary 5X5" in output and "inverted" in output
+    assert output.count("no board is found") == without_board
+
+
+def test_a_board_of_more_markers_than_its_dictionary_has_is_found(tmp_path: Path) -> None:
+    lens, output = calibrated(tmp_path, charuco(12, 9, "4X4_100"), "--board", "12x9", "--marker", "0.022")
+    assert_is_the_lens(lens)
+    assert "of the dictionary 4X4_1000, not 4X4_50" in output
 
 
 def test_a_checkerboard_counted_by_its_squares_is_found_and_said(tmp_path: Path) -> None:
