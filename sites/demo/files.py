@@ -57,10 +57,10 @@ def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int
         if kind != "standard":
             manifest[key] = kind
     manifest.update(light=light, small=small, captures=len(site.cameras[0].captures), seed=seed)
-    return DemoFiles(manifest, _files(site, scene, light, options.get("lenses", "standard")))
+    return DemoFiles(manifest, scene_files(site, scene, light, options.get("lenses", "standard")))
 
 
-def _files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File]:
+def scene_files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File]:
     """Yield name and content of every file of the demo."""
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):

@@ -21,8 +21,9 @@ from .footprint import Footprint
 from .free_space import look_at
 from .ncc import ncc
 
-_MOST_VOXELS = 300_000
-"""Number of voxels of a hull, from which their edge follows: more cost time and locate its borders better."""
+_MOST_VOXELS = 60_000
+"""Number of voxels of a hull, from which their edge follows.  With more, borders are finer and cost grows: 300,000 change no
+interval of the demo by more than 5 %."""
 _REACH = 1.0
 """Unseen parts are nearer to the seen surface than this many times its largest extent.  With more, intervals grow with the open
 space behind a change; with less, long things that show their short side do not fit."""
