@@ -1,7 +1,7 @@
 """Do changes keep their ids, and do intervals hold the true volumes?    bench_things.py NIGHTS... [--json FILE]
 
-Each of NIGHTS is the folder of `wbflow demo --nights` or `nights_of_scene.py` after a run of its nights.  Changes are computed for
-all nights in their order, against the first one, from the artifacts in the cache.
+Each of NIGHTS is the folder of `wbflow demo --nights` or `nights_of_scene.py`, after a run of its nights.  Their changes against
+the first one are computed in the order of the nights, from the artifacts in the cache.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from .hull import NOTHING_UNSEEN, UnseenParts
 _SAME_VOLUME = 0.3
 """Largest difference in volume between a moved thing at both places, as a share of the larger one.  A weak test: with few
 cameras, a vehicle and a stack may have the same volume."""
-_SAME_HEIGHT = 0.25
+_SAME_HEIGHT = 0.12
 """Largest difference in height, as a share of the larger one."""
 _SAME_LENGTH = 0.2
 """Largest difference in length, as a share of the larger one (measured on the yard: up to 0.07 for one thing, 0.28 or more for

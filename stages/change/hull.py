@@ -24,9 +24,9 @@ from .ncc import ncc
 _MOST_VOXELS = 60_000
 """Number of voxels of a hull, from which their edge follows.  With more, borders are finer and cost grows: 300,000 change no
 interval of the demo by more than 5 %."""
-_REACH = 1.0
-"""Unseen parts are nearer to the seen surface than this many times its largest extent.  With more, intervals grow with the open
-space behind a change; with less, long things that show their short side do not fit."""
+_REACH = 1.5
+"""Unseen parts are nearer to the seen surface than this many times its height: cameras that look down on a thing
+cannot see such a length behind it.  With more, intervals grow with open space that no camera shows."""
 _TOP_QUANTILE = 0.98
 """Quantile of the seen heights up to which unseen parts may reach: what stood higher would show above what is seen."""
 _THROUGH_RATIO = 2.0
@@ -64,7 +64,7 @@ def hull_around(footprint: Footprint, grid: GroundGrid, spacing: float, earlier:
     north = grid.top - (row + 0.5) * grid.cell
     lowest = np.array([east.min(), north.min(), footprint.base.min()])
     highest = np.array([east.max(), north.max(), float(np.quantile(footprint.base + footprint.height, _TOP_QUANTILE))])
-    reach = _REACH * float(np.max(highest - lowest))
+    reach = _REACH * float(highest[2] - lowest[2])
     lowest[:2] -= reach
     highest[:2] += reach
 
@@ -211,17 +211,40 @@ def unseen_parts(
     height = possible_columns(hull, points, below) - below
     cells = _cells_of_columns(hull, grid)
 
-    # What is known: all up to the seen surface in cells of the footprint, nothing in others.
+    # 1. What is known: all up to the seen surface in cells of the footprint, nothing in others.
     seen_height = np.zeros(grid.rows * grid.columns)
     seen_height[footprint.cells] = footprint.height
     over_seen = np.where(cells >= 0, seen_height[cells], 0.0)
     unseen_height = height - over_seen
 
+    # 2. What may be filled, without gaps between it and what is seen.
     lowest = max(_LOW_SHARE * float(np.quantile(footprint.height, 0.9)), hull.edge)
-    counts = (cells >= 0) & (unseen_height > lowest) & ~left_out.ravel()[cells]
+    is_seen = over_seen > 0
+    is_possible = (unseen_height > lowest) & ~is_seen
+    is_possible = _in_sight(is_possible, is_seen)
+    counts = (cells >= 0) & (is_possible | (is_seen & (unseen_height > lowest))) & ~left_out.ravel()[cells]
     total = np.bincount(cells[counts], unseen_height[counts] * hull.edge**2, minlength=grid.rows * grid.columns)
     occupied = np.flatnonzero(total).astype(np.int64)
     return UnseenParts(occupied, np.asarray(total[occupied], dtype=np.float64))
+
+
+def _in_sight(possible: Bools, seen: Bools) -> Bools:
+    """(nx, ny) possible columns from which a straight line to the nearest seen one crosses no column that is neither."""
+    if not seen.any():
+        return possible
+    # Closed, because single columns may have been carved by mistake.
+    open_columns = ndimage.binary_closing(np.pad(possible | seen, 1), np.ones((3, 3)))[1:-1, 1:-1] | possible | seen
+    start = np.argwhere(possible)
+    nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    end = nearest[:, possible].T
+    steps = int(np.abs(end - start).max(initial=0))
+    is_clear = np.ones(len(start), bool)
+    for step in range(1, steps):
+        between = np.rint(start + (end - start) * (step / steps)).astype(int)
+        is_clear &= open_columns[tuple(between.T)]
+    clear = np.zeros(possible.shape, bool)
+    clear[tuple(start[is_clear].T)] = True
+    return clear
 
 
 def nearer_to_others(grid: GroundGrid, footprints: Sequence[Int64s], own: int) -> Bools:

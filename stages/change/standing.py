@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from ..core.ground_grid import cells_of
 from ..types import Bools, Change, Float64s, GroundGrid, Hull, Int64s, KnownPlace
@@ -146,7 +147,8 @@ def with_hulls(
     """
     footprints = [each.cluster.footprint.cells for each in standing if each.cluster is not None]
     known_ground = unchanged_cells(own.evidence, grid)
-    not_known_before = ~seen_cells(tops(other.ground.cells, other.ground.levels, known_ground.shape))
+    known_before = seen_cells(tops(other.ground.cells, other.ground.levels, known_ground.shape))
+    not_known_before = ~ndimage.binary_fill_holes(known_before)  # what known ground surrounds is ground, too
     done = []
     number = 0
     for each in standing:
