@@ -90,17 +90,19 @@ def hull_around(footprint: Footprint, grid: GroundGrid, spacing: float, earlier:
 
 
 def is_reshaped(hull: Hull, points: Float64s, blur: float) -> bool:
-    """Do so many of tonight's points (n, 3) lie deep in carved space that the change must have another shape now?
+    """Do so many of tonight's points (n, 3) lie in space that was free that the change must have another shape now?
 
-    blur: distance by which the borders of carved space may be off.
+    Free is carved space, and all beyond the hull, which reaches up to the top of what was seen.
+
+    blur: distance by which borders may be off.
     """
-    voxels, inside = _voxels_of(hull, points)
-    if not inside.any():
-        return len(points) > 0
+    voxels, _ = _voxels_of(hull, points)
+    nearest = np.clip(voxels, 0, np.array(hull.carved.shape) - 1)
+    is_beyond = np.abs(voxels - nearest).max(axis=1, initial=0) * hull.edge > blur
     width = 2 * int(np.ceil(blur / hull.edge)) + 1
     carved_around = ndimage.minimum_filter(hull.carved, width, mode="nearest")
-    in_carved = carved_around[tuple(voxels[inside].T)]
-    return float(in_carved.sum()) > _RESHAPED_SHARE * len(points)
+    is_free = is_beyond | carved_around[tuple(nearest.T)]
+    return float(is_free.sum()) > _RESHAPED_SHARE * len(points)
 
 
 def carved_by(hull: Hull, night: Epoch, other: Epoch, grid: GroundGrid, known_ground: Bools, similar: float) -> Hull:
