@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import struct
@@ -9,7 +10,9 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import numpy as np
 
@@ -67,6 +70,30 @@ def encoded(form: str, seed: int = 0, wide: int = WIDE, high: int = HIGH) -> byt
     """The bytes of such a `picture` in an image format, such as ".png"."""
     data: bytes = cv2.imencode(form, picture(seed, wide, high))[1].tobytes()
     return data
+
+
+def _video(container: str) -> bytes:
+    """24 frames of such a `picture` with noise, with a key frame every 8 frames."""
+    still = picture(3)
+    rng = np.random.default_rng(3)
+    file = io.BytesIO()
+    with av.open(file, "w", format=container) as output:
+        stream: Any = output.add_stream("mpeg4", rate=25)
+        stream.width = WIDE
+        stream.height = HIGH
+        stream.gop_size = 8
+        stream.bit_rate = 4_000_000
+        for _ in range(24):
+            noisy = np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8)
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(noisy, format="bgr24")))
+        output.mux(stream.encode(None))
+    return file.getvalue()
+
+
+def _overwritten(data: bytes, by: bytes, begin: int | None = None) -> bytes:
+    """Data with other bytes in their place, from `begin` or the middle on."""
+    at = len(data) // 2 if begin is None else begin
+    return data[:at] + by + data[at + len(by) :]
 
 
 def png(wide: int, high: int, rows: int, bits: int = 8, colour: int = 2) -> bytes:
@@ -161,7 +188,26 @@ def capture_cases() -> list[Hostile]:
         *(Hostile(f"jpg-cut-{k}", _bytes(good_jpg[: len(good_jpg) * k // 6])) for k in range(1, 6)),
         *(Hostile(f"png-flipped-{k}", _bytes(_flipped(good_png, k)), refused=False) for k in range(3)),
         *(Hostile(f"jpg-flipped-{k}", _bytes(_flipped(good_jpg, k)), refused=False) for k in range(6)),
+        *_video_cases(),
         *_mask_cases(good_png),
+    ]
+
+
+def _video_cases() -> list[Hostile]:
+    stream = _video("mpegts")
+    film = _video("mp4")
+    packets = len(stream) // 188
+    return [
+        Hostile("video", _bytes(stream), refused=False),
+        Hostile("video-cut", _bytes(stream[: len(stream) // 2]), refused=False),
+        Hostile("video-begun-late", _bytes(stream[packets // 3 * 188 :]), refused=False),
+        Hostile("video-zeros", _bytes(_overwritten(stream, bytes(3000))), refused=False),
+        Hostile("video-noise", _bytes(_overwritten(stream, np.random.default_rng(2).bytes(3000))), refused=False),
+        Hostile("video-lost-packets", _bytes(stream[: packets // 2 * 188] + stream[(packets // 2 + 16) * 188 :]), refused=False),
+        Hostile("video-of-zeros", _bytes(_overwritten(stream, bytes(len(stream) - 2000), 1000)), reason="no video"),
+        Hostile("film-zeros", _bytes(_overwritten(film, bytes(3000))), refused=False),
+        Hostile("film-cut", _bytes(film[: len(film) // 2]), reason="no video"),
+        Hostile("playlist", _bytes(b"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\nfile:///etc/passwd\n#EXT-X-ENDLIST\n")),
     ]
 
 
