@@ -21,6 +21,7 @@ import numpy as np
 
 from .core.cameras import camera_id, field_ratio
 from .matching.appearance import most_similar
+from .matching.matcher import plain_rows
 from .twoview.shared_ground import shared_ground
 from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
 
@@ -132,7 +133,7 @@ class _Keypoints:
     @classmethod
     def of(cls, features: Features, view: View) -> _Keypoints:
         """The keypoints of the plain view among all of a frame."""
-        plain = np.flatnonzero(features.tilts == 0)
+        plain = plain_rows(features)
         area = np.abs(np.linalg.det(features.frames[plain]))
         order = np.argsort(-area, kind="stable")
         pixel_size = 1.0 if view.K is None else 1 / float(view.K[0, 0])

@@ -92,7 +92,7 @@ def test_the_python_example_of_the_readme_works(
 
 def test_the_user_matcher_of_the_guide_works_beside_the_site_file(folder: Path) -> None:
     *_, typed = blocks("stages/README.md", "python")
-    named, _ = blocks("stages/README.md", "yaml")  # the other block is about a network
+    named, *_ = blocks("stages/README.md", "yaml")  # the others are about networks
     (folder / "orb.py").write_text(typed)
     site = folder / "orb.yaml"
     site.write_text((folder / "site.yaml").read_text() + named)

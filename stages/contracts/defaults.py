@@ -33,3 +33,13 @@ NEIGHBOUR_RATIO = 0.8
 """Largest ratio of the distances to the nearest and the second nearest descriptor (Lowe 2004)."""
 SEED = 0
 """Seed of random choices."""
+MAX_KEYPOINTS = 6000
+"""Most keypoints that a detector keeps in the plain view."""
+TILTED_KEYPOINTS = 3000
+"""Most keypoints kept in the view compressed by 2 in x."""
+GRID_COLUMNS = 6
+"""Square cells across the image, over which keypoints are spread."""
+CROWDING = 2.0
+"""A cell yields at most this many times its even share of keypoints while other cells still have some."""
+MIN_SCORE = 0.0
+"""Least score of what a network finds, 0 to 1: everything counts."""

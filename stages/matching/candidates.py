@@ -1,6 +1,7 @@
 """Candidate matches of two sets of keypoints: the nearest few by descriptor, and keypoints near a predicted position.
 
-A pair of frames is matched view by view: the plain views with each other, and each compressed view with the other's plain one.
+A pair of frames is matched view by view: the plain views with each other, learned keypoints with learned ones, and each
+compressed view with the other's plain one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 
 from ..core.jit import helper, kernel
 from ..core.ordering import by_cell
-from ..types import PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
+from ..types import LEARNED, PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
 from .neighbours import LEAST_DISTANCE_PX, Neighbours, nearest_neighbours
 
@@ -63,6 +64,8 @@ class ViewPair:
     """(n1, 2, 2) local affine frames of the left keypoints."""
     inverse_frames2: Float64s
     """(n2, 2, 2) inverses of those of the right keypoints."""
+    has_frames: bool
+    """False: the keypoints have neither scale nor orientation, and their frames say nothing about the pair."""
     candidates: Candidates
     """Rows of these arrays, not of the `Features`."""
 
@@ -70,21 +73,23 @@ class ViewPair:
 def view_pairs(
     left: Features, right: Features, tilted: bool, neighbours: int = NEIGHBOURS, known: tuple[ViewPair, ...] = ()
 ) -> tuple[ViewPair, ...]:
-    """Pairs of views to be matched: the plain views, and each compressed view with the other's plain one.
+    """Pairs of views to be matched: the plain views, learned keypoints, and each compressed view with the other's plain one.
 
     Parameters
     ----------
     left, right : keypoints of the two frames.
     tilted : include the compressed views.
     neighbours : candidates that each keypoint proposes.
-    known : the pair of plain views if it has been searched already, with the same `neighbours`.
+    known : the pairs without the compressed views if they have been searched already, with the same `neighbours`.
 
     Returns
     -------
     The pairs with enough keypoints on both sides, the plain one first.
     """
-    plain = known[0] if known else _view_pair(left, right, PLAIN, PLAIN, neighbours)
-    pairs = [plain]
+    pairs: list[ViewPair | None] = list(known)
+    if not known:
+        pairs.append(_view_pair(left, right, PLAIN, PLAIN, neighbours))
+        pairs.append(_view_pair(left, right, LEARNED, LEARNED, neighbours))
     # not tilted with tilted: both frames compressed in x differ as the plain ones do
     if tilted:
         pairs.append(_view_pair(left, right, TILTED, PLAIN, neighbours))
@@ -116,6 +121,7 @@ def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbou
         x2=right.xy[rows2],
         frames1=left.frames[rows1],
         inverse_frames2=inverses(right.frames[rows2]),
+        has_frames=view1 != LEARNED and view2 != LEARNED,
         candidates=_candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours),
     )
 

@@ -14,14 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 
-from ..core.luminance import grey_levels
-from ..types import Bools, Capture, Float32s, Float64s, Frame, Matches, Uint8s
+from ..contracts.defaults import MIN_SCORE
+from ..types import Bools, Capture, Float32s, Float64s, Frame, Matches
+from .onnx_model import input_shapes, model_input, onnx_session, run
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ _NEEDED = f"a model of {_TWO_IMAGES.words()}, or of {_ONE_BATCH.words()}, is wan
 
 
 def match_onnx(
-    left_frame: Frame, right_frame: Frame, model: Capture, *, min_score: float = 0.0, long_side_px: int = 1024
+    left_frame: Frame, right_frame: Frame, model: Capture, *, min_score: float = MIN_SCORE, long_side_px: int = 1024
 ) -> Matches:
     """Match by an ONNX model that takes both images (features and LightGlue exported as one).
 
@@ -61,8 +60,8 @@ def match_onnx(
     min_score : matches to which the model gives a lower score are dropped, 0 to 1.
     long_side_px : long side to which larger images are scaled if the model takes any size, pixels.
     """
-    session = _session(model.name, model.data.tobytes())
-    shapes = _input_shapes(session)
+    session = onnx_session(model)
+    shapes = input_shapes(session)
     interface = _interface(model.name, shapes, [value.name for value in session.get_outputs()])
 
     # the images in the sizes that the model takes
@@ -70,8 +69,8 @@ def match_onnx(
     right_shape = shapes[interface.inputs[-1]]
     left_size = _size(left_shape, left_frame, long_side_px)
     right_size = left_size if interface is _ONE_BATCH else _size(right_shape, right_frame, long_side_px)
-    left_image = _model_input(left_frame.image, left_size, left_shape[1])
-    right_image = _model_input(right_frame.image, right_size, right_shape[1])
+    left_image = model_input(left_frame.image, left_size, left_shape[1])
+    right_image = model_input(right_frame.image, right_size, right_shape[1])
 
     x1, x2, scores = _run(model.name, session, interface, left_image, right_image)
     x1 = _in_frame(x1, left_size, left_frame)
@@ -79,36 +78,6 @@ def match_onnx(
     keep = (scores >= min_score) & _usable(x1, left_frame) & _usable(x2, right_frame)
     p = np.clip(scores[keep], 0, 1).astype(np.float32)
     return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
-
-
-@lru_cache(maxsize=1)
-def _session(name: str, model: bytes) -> Any:
-    """The model of a file of this name, ready to run.  It uses one thread, so that every machine finds the same."""
-    try:
-        import onnxruntime  # imported here: other matchers work without it
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError("the matcher onnx needs ONNX Runtime: pip install 'wbflow[onnx]'") from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # nothing but fatal errors: the message of the exception says the rest
-    try:
-        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # its exceptions have no base class of their own
-        needed = "give the file that the model was exported to, whole"
-        raise ValueError(f"{name}: ONNX Runtime cannot read it: {_shortened(error)}: {needed}") from None
-
-
-def _shortened(error: Exception) -> str:
-    """The end of an exception's text, on one line: it begins with places in ONNX Runtime's own code."""
-    return " ".join(str(error).split())[-300:]
-
-
-def _input_shapes(session: Any) -> dict[str, tuple[int, ...]]:
-    """Shape of each of the model's inputs by name; 0 where the model leaves a size free (it then has a name, or none)."""
-    shapes = {}
-    for value in session.get_inputs():
-        shapes[value.name] = tuple(size if isinstance(size, int) else 0 for size in value.shape)
-    return shapes
 
 
 def _interface(name: str, shapes: Mapping[str, tuple[int, ...]], outputs: Sequence[str]) -> _Interface:
@@ -128,15 +97,6 @@ def _size(shape: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int,
     free_width = max(round(frame.view.width * scale / _STRIDE), 1) * _STRIDE
     free_height = max(round(frame.view.height * scale / _STRIDE), 1) * _STRIDE
     return width or free_width, height or free_height
-
-
-def _model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s:
-    """Input of a model for an image (h, w, 3): (1, c, h, w), 0 to 1, of this width and height."""
-    is_smaller = size[0] < image.shape[1] and size[1] < image.shape[0]
-    interpolation = cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR  # areas: nothing aliases
-    image = np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
-    planes = grey_levels(image)[None] if channels == 1 else image.transpose(2, 0, 1)
-    return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
 
 
 def _run(
@@ -159,10 +119,7 @@ def _run(
         inputs = {interface.inputs[0]: np.concatenate([left_image, right_image])}
     else:
         inputs = dict(zip(interface.inputs, (left_image, right_image), strict=True))
-    try:
-        outputs = session.run([*interface.outputs], inputs)
-    except Exception as error:  # as above
-        raise ValueError(f"{name}: ONNX Runtime cannot run it: {_shortened(error)}") from None
+    outputs = run(name, session, interface.outputs, inputs)
     return _parse_outputs(name, outputs)
 
 

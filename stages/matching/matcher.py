@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..types import PLAIN, Features, Float64s, Int32s, Matches
+from ..types import LEARNED, PLAIN, Features, Float64s, Int32s, Matches
+from .local_affines import match_affines
 
 
 def keypoint_matches(
@@ -27,11 +28,14 @@ def keypoint_matches(
     tilted : the views compressed in x were used too.
     searched : results that geometry may use again, see `Matches.searched`.
     """
-    affine = right.frames[i2] @ np.linalg.inv(left.frames[i1])
+    affine = match_affines(left, right, i1, i2)
     p = probability.astype(np.float32)
     return Matches(left.xy[i1], right.xy[i2], i1, i2, p, affine, left.view, right.view, tilted=tilted, searched=searched)
 
 
 def plain_rows(features: Features) -> Int32s:
-    """Rows of the keypoints of the plain view, for matchers that use only one view."""
-    return np.flatnonzero(features.tilts == PLAIN).astype(np.int32)
+    """Rows of the keypoints of the plain view, for matchers that use only one view; learned ones where there are no others."""
+    is_plain = features.tilts == PLAIN
+    if not is_plain.any():
+        is_plain = features.tilts == LEARNED
+    return np.flatnonzero(is_plain).astype(np.int32)

@@ -9,6 +9,7 @@ from ..core.epipolar import homogeneous, symmetric_epipolar_distance
 from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, rival_distances
+from ..matching.local_affines import match_affines
 from ..matching.neighbours import nearest_lookalike
 from ..types import Features, Float32s, Float64s, Int32s, Matches, View
 from .image_grid import covered_cells
@@ -57,7 +58,7 @@ def pair_evidence(
         distinct_share=float((lookalike_ratio < DISTINCT_FROM_LOOKALIKES).mean()),
         agreement=_agreement(pairs, found.F),
         half_rotation_deg=_half_rotation_deg(x1, x2, left.view, right.view, seed),
-        stretch=_stretch(x1, x2, right.frames[i2] @ np.linalg.inv(left.frames[i1])),
+        stretch=_stretch(x1, x2, match_affines(left, right, i1, i2)),
         angle_deg=ray_angle_deg(x1, x2, left.view, right.view, found.R),
         rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found, seed),
     )

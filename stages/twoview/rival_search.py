@@ -17,6 +17,7 @@ from ..core.rotations import angle_between_deg
 from ..matching.affine_field import fit_affine_field
 from ..matching.assignment import without_repeats
 from ..matching.candidates import ViewPair, inverses
+from ..matching.local_affines import match_affines
 from ..matching.structural import DOMINANCE, ROUNDS, Correspondences, confirmations, solve_rounds
 from ..types import Bools, Features, Float64s, Int32s, View
 from .image_grid import covered_cells
@@ -84,7 +85,7 @@ def _without_explained(pair: ViewPair, left: Features, right: Features, i1: Int3
     x2 = right.xy[i2]
     candidates = pair.candidates
     # A prediction explains candidates farther away where it is less certain, up to a limit.
-    affine = right.frames[i2] @ inverses(left.frames[i1])
+    affine = match_affines(left, right, i1, i2)
     field = fit_affine_field(x1, x2, affine, np.ones(len(i1)), pair.x1)
     reach = EXPLAINED_PX + 2 * np.minimum(field.sigma_px, 2 * EXPLAINED_PX)
     is_unexplained = np.linalg.norm(pair.x2[candidates.j] - field.prediction[candidates.i], axis=1) > reach[candidates.i]

@@ -12,10 +12,11 @@ from .health import CameraHealth, ShiftHistory
 from .pairs import Geometry, Matches, Overlap, at_rows
 from .places import Hull, KnownPlace
 from .site import LensSigma, Poses, Scene
-from .views import PLAIN, TILTED, Camera, Features, Frame, View
+from .views import LEARNED, PLAIN, TILTED, Camera, Features, Frame, View
 
 __all__ = [
     "INVALID",
+    "LEARNED",
     "MOST_PARTNERS",
     "NEW",
     "PLAIN",

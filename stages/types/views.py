@@ -124,7 +124,8 @@ def _remedy(image: object) -> str:
 
 @dataclass(frozen=True)
 class Features(Record):
-    """Keypoints of one frame.  Rows of the plain view come first, each view's strongest keypoint first."""
+    """Keypoints of one frame.  Rows of the plain view come first, those of the compressed view last; the strongest of each view
+    is its first."""
 
     xy: Float64s
     """(n, 2) pixels of the frame."""
@@ -135,11 +136,11 @@ class Features(Record):
     responses: Float32s
     """(n,) detector responses."""
     tilts: Uint8s
-    """(n,) `PLAIN`, or `TILTED` for the view compressed by 2 in x."""
+    """(n,) `PLAIN`, `TILTED` for the view compressed by 2 in x, or `LEARNED`."""
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    """(p,) distance of each plain-view keypoint to the most similar descriptor of that view at least 6 px away: how
-    distinctive it is in its own image (empty: unknown).  Tilted keypoints have none, since few are ever needed."""
+    """(p,) distance of each keypoint to the most similar descriptor of its kind at least 6 px away: how distinctive it is in its
+    own image (empty: unknown).  Tilted keypoints have none, since few are ever needed."""
     plain_keypoints: int = 0
     """Number of rows of the plain view."""
     preprocessing: str = "none"
@@ -156,3 +157,5 @@ PLAIN = 0
 """The frame as it is."""
 TILTED = 1
 """The frame compressed by 2 in x."""
+LEARNED = 2
+"""Keypoints of a network in the frame as it is.  They have neither scale nor orientation: their frames are a nominal size."""

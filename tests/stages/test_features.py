@@ -54,7 +54,7 @@ def test_the_number_of_keypoints_is_limited_and_the_strongest_come_first() -> No
 def test_a_large_image_searched_in_bands_gives_the_same_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
     grey = blobs(width=480, height=900)
     whole = features(grey, tilted_keypoints=0, max_keypoints=400)
-    monkeypatch.setattr("wbflow_stages.features.LARGEST_PX", 160_000)
+    monkeypatch.setattr("wbflow_stages.matching.sift.LARGEST_PX", 160_000)
     bands = features(grey, tilted_keypoints=0, max_keypoints=400)
     same = set(map(tuple, np.round(whole.xy, 2))) & set(map(tuple, np.round(bands.xy, 2)))
     assert len(same) > 0.98 * len(whole.xy)

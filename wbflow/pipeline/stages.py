@@ -305,6 +305,8 @@ STAGES: tuple[Stage, ...] = (
         scope="camera",
         function="wbflow_stages.features:detect",
         inputs={"frame": own("frames")},
+        offers={"model": Source("file", "model")},
+        method=Method("detector", "wbflow_stages.features:DETECTORS"),
         reuse=Reuse(shifted="reuse", moved="recompute"),
         products=Products({"marks": "wbflow_stages.exports.previews:keypoint_marks"}),
         summary=FeaturesFigures,
