@@ -242,6 +242,11 @@ def nothing_matches(site: Site, date: datetime.date) -> str:
         nearest = sorted(others[:FEW_EXAMPLES])
         words = f"there are {len(others)} other nights with captures, the nearest {', '.join(map(str, nearest))}"
         return words if newest in nearest else f"{words}, the newest {newest}"
+    for camera in site.cameras:
+        undated = next(site.captures.undated(camera.id), None)
+        if undated is not None:
+            pattern = printable(site.captures.text)
+            return f"{printable(undated)} has no valid date or time where captures.pattern ({pattern}) wants them"
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
     there = files_there(site)
     shown = "there is no file at all"

@@ -11,10 +11,12 @@ from pathlib import Path
 
 from ..cache.untrusted import find_untrusted
 
-_NUMBERS = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(("%y", "%m", "%d", "%H", "%M", "%S"), r"\d{2}")
+_NUMBERS = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(
+    ("%y", "%m", "%d", "%H", "%I", "%M", "%S"), r"\d{2}"
+)
 """A regular expression for each directive of `strftime` that is a number."""
-_WORDS = ("%b", "%B", "%a", "%A", "%p", "%I")
-"""Directives that are words, or need one (`%I` needs `%p`)."""
+_WORDS = ("%b", "%B", "%a", "%A", "%p")
+"""Directives that are words."""
 _FORMATS = {"date": "%Y-%m-%d", "time": "%H%M%S"}
 _FIELD = re.compile(r"\{(date|time)(?::([^}]*))?\}")
 _PARTS = re.compile(r"(\{(?:date|time)(?::[^}]*)?\}|\{camera\}|\*\*/?|\*)")
@@ -28,12 +30,17 @@ def pattern_fault(text: str) -> str:
         if name not in {"camera", "date", "time"}:
             return f"{{{name}}} is not known; use {{camera}}, {{date:%Y-%m-%d}}, {{time:%H%M%S}}, * and **"
     directives: set[str] = set()
+    hours: set[str] = set()
     for field in _FIELD.finditer(text):
         for directive in _DIRECTIVE.findall(_format_of(field)):
             if directive not in _NUMBERS and directive not in _WORDS:
                 return f"{directive} in {field.group()} is not known; use %Y, %m, %d, %j, %H, %M and %S"
             if field.group(1) == "date":
                 directives.add(directive)
+            if directive in {"%I", "%p"}:
+                hours.add(directive)
+    if hours == {"%I"}:
+        return "%I, the hour of 12, does not say which half of the day; add %p (AM or PM), or use %H for the hour of 24"
     if directives:
         has_year = directives & {"%Y", "%y"}
         has_month = directives & {"%m", "%b", "%B"}
@@ -95,6 +102,13 @@ class Pattern:
             taken = moment(name)
             if taken:
                 yield taken
+
+    def undated(self, camera: str) -> Iterator[str]:
+        """The names, relative to the root, of a camera's files that fit the pattern except that their date or time is none."""
+        moment = self._moment_reader(camera)
+        for name in find_untrusted(self._glob_pattern(camera)):
+            if self.dated and moment(name) is None:
+                yield name.removeprefix(f"{self.root}/")
 
     def cameras(self) -> set[str]:
         """The values of `{camera}` for which there are files, of any night."""

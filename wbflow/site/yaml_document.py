@@ -150,6 +150,10 @@ def similar(path: Path) -> str:
     return suggest(path.name, names, "")
 
 
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+"""How text files of UTF-16 begin, in which zero bytes are usual."""
+
+
 def read_text(path: Path, remedy: str = "") -> str:
     """The text of an untrusted file.  Raises SiteError if it cannot be read (with this remedy) or is not UTF-8."""
     try:
@@ -159,6 +163,9 @@ def read_text(path: Path, remedy: str = "") -> str:
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         column = error.start - error.object.rfind(b"\n", 0, error.start)
+        if b"\0" in error.object and not error.object.startswith(_UTF_16):
+            what = "is a binary file, not text"
+            raise SiteError(Problem(path, what, "export what it holds as text, such as JSON or YAML")) from None
         raise SiteError(Problem(path, "is not UTF-8 text", "save the file as UTF-8", line, column)) from None
 
 

@@ -230,6 +230,27 @@ def test_dates_may_be_anywhere_in_a_name_and_twice_if_they_agree(tmp_path: Path,
     assert names(s)["gate"] == [right]
 
 
+def test_the_hour_of_12_is_read_with_its_half_of_the_day(tmp_path: Path) -> None:
+    files = ["gate_20261119_113000AM.jpg", "gate_20261119_093000PM.jpg"]
+    assert names(site(tmp_path, "{camera}_{date:%Y%m%d}_{time:%I%M%S%p}.jpg", files))["gate"] == files
+
+
+@pytest.mark.parametrize(
+    ("pattern", "file"),
+    [
+        ("{camera}/{date:%Y%m%d}_{time:%H%M%S}.jpg", "gate/20261118_240000.jpg"),
+        ("{camera}/{date:%m-%d-%Y}.jpg", "gate/19-11-2026.jpg"),
+        ("{camera}/{date:%Y-%m-%d}.jpg", "gate/2026-1-9.jpg"),
+        ("{camera}/{date:%d%b%Y}.jpg", "gate/19Nob2026.jpg"),
+    ],
+)
+def test_a_name_whose_date_or_time_is_none_is_shown(tmp_path: Path, pattern: str, file: str) -> None:
+    s = site(tmp_path, pattern, [file])
+    assert nothing_matches(s, datetime.date(2026, 11, 19)) == (
+        f"{file} has no valid date or time where captures.pattern ({pattern}) wants them"
+    )
+
+
 @pytest.mark.parametrize(
     ("pattern", "message"),
     [
@@ -237,6 +258,7 @@ def test_dates_may_be_anywhere_in_a_name_and_twice_if_they_agree(tmp_path: Path,
         ("{camera}/{date:%F}.jpg", "%F in {date:%F} is not known"),
         ("{camera}/{date:%m-%d}.jpg", "does not say year, month and day"),
         ("{camera}/{date:%Y}.jpg", "does not say year, month and day"),
+        ("{camera}/{date}_{time:%I%M%S}.jpg", "%I, the hour of 12, does not say which half of the day"),
         ("{camera}/{date}_{time:%T}.jpg", "%T in {time:%T} is not known"),
     ],
 )

@@ -324,6 +324,8 @@ def test_cameras_of_metashape_are_read(tmp_path: Path) -> None:
         ("<k1>", "<wobble>0.1</wobble><k1>", "<wobble> in <calibration> is not read"),
         ("LOCAL_CS", "GEOGCS", "a coordinate system of the Earth"),
         ("<orientation>1", "<orientation>6", "were turned"),
+        ("<calibration", "<property name='film_camera' value='true'/><calibration", "is a film camera"),
+        ("<calibration", "<film_camera>1</film_camera><calibration", "is a film camera"),
         ('type="frame"', 'type="spherical"', "is a spherical sensor"),
         ("<f>399.1</f>", "<f>far</f>", "cameras.xml:13: <f> must hold 1 numbers"),
         ("<document", "<!DOCTYPE x><document", "declares a document type"),
@@ -399,6 +401,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "a unit": ({"unit": "mm"}, "gate.unit is mm, and lengths are metres here"),
     "an unknown convention": ({"c2w": C2W.tolist(), "convention": "unity"}, "gate.convention is not known"),
     "a rotation with a scale": ({"w2c": (2 * W2C).tolist()}, "gate.w2c must be 4x4|begin with a rotation"),
+    "a vector in degrees": ({"rvec": [0, 0, 90], "t": T.tolist()}, "gate.rvec turns by 90.0 rad, more than a full turn"),
+    "a quaternion of either order": ({"quaternion": [1, 0, 0, 0], "t": T.tolist()}, "gate.quaternion can be understood in"),
     "a mirror": ({"R": (-R).tolist(), "t": T.tolist()}, "gate.R is a mirror"),
     "a size of MATLAB": ({"width": None, "height": None, "ImageSize": [480, 640]}, "gate.ImageSize may be MATLAB's"),
 }

@@ -84,6 +84,9 @@ def _lens(sensor: Element) -> dict[str, Any]:
         if element.attributes.get("class") == "adjusted":
             calibration = element
             break
+    if any(_is_film(element) for element in sensor.children):
+        what = "is a film camera, whose calibration is of the scans as its fiducial marks place them"
+        raise Faulty(what, (sensor.line,), "use the pictures of a digital camera")
     if "master_id" in sensor.attributes:
         raise Faulty("is a sensor of a multi-camera system, which is not read", (sensor.line,), _REMEDY)
     kind = calibration.attributes.get("type", sensor.attributes.get("type", "frame"))
@@ -125,6 +128,17 @@ def _lens(sensor: Element) -> dict[str, Any]:
     except Faulty as fault:
         raise Faulty(fault.what, (calibration.line,), _REMEDY) from None
     return fields
+
+
+def _is_film(element: Element) -> bool:
+    """Does this element of a sensor say that it is a film camera?"""
+    if element.tag == "property" and element.attributes.get("name") in {"film_camera", "fiducials"}:
+        said = element.attributes.get("value", "")
+    elif element.tag == "film_camera":
+        said = element.text
+    else:
+        return False
+    return said.strip().lower() in {"1", "true"}
 
 
 def _pose(camera: Element, world: Element, chunk: Element) -> dict[str, Any]:

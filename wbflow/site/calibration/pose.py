@@ -30,9 +30,12 @@ _AMBIGUOUS_KEYS = (
     "pose",
     "transform",
     "orientation",
+    "quaternion",
+    "quat",
+    "q",
     "P",
 )
-"""Keys that programs use for either direction, or for either convention."""
+"""Keys that programs use for either direction, for either convention, or for numbers in either order."""
 _CONVENTION_KEYS = ("convention", "camera_convention")
 _CONVENTIONS = {"opencv": 1.0, "opengl": -1.0}
 """By the convention of a camera's axes: the sign of its y and z axes relative to OpenCV's (x right, y down, z forward)."""
@@ -159,6 +162,9 @@ def _rotation(entry: Entry) -> Matrix | None:
     if vector_key is not None:
         vector = _vector(entry, _VECTOR_KEYS)
         assert vector is not None
+        if math.hypot(*vector) > 2 * math.pi:
+            what = f"turns by {math.hypot(*vector):.1f} rad, more than a full turn, as degrees would"
+            raise entry.fault(vector_key, what, "give it in radians: the axis times the angle, as cv2.Rodrigues does")
         return _rotation_of_vector(vector)
     if quaternion_key is not None:
         quaternion = numbers_of(entry, quaternion_key)
