@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import email.utils
 import hashlib
+import http.client
 import re
 import socket
 import ssl
@@ -24,6 +25,7 @@ from requests.adapters import HTTPAdapter
 from requests.auth import AuthBase, HTTPDigestAuth
 
 from ..plugins import load
+from ..words import printable
 
 Login = tuple[str, str]
 """User and password of a camera."""
@@ -158,6 +160,9 @@ def _chunks(response: requests.Response) -> Iterator[bytes]:
             yield chunk
     except urllib3.exceptions.ReadTimeoutError:
         raise requests.ReadTimeout from None
+    except urllib3.exceptions.DecodeError:
+        coding = response.headers.get("Content-Encoding", "")
+        raise OSError(f"says that its answer is compressed ({printable(coding, 20)}), and it is not") from None
     except urllib3.exceptions.HTTPError:
         return  # the connection has ended early: the reader of pictures finds out what is missing
 
@@ -225,8 +230,12 @@ def _refuse_failure(response: requests.Response, access: Access) -> None:
     advice = ""
     if response.status_code in {401, 403}:
         advice = ": check its user and password in the file of credentials"
+        offers = _challenges(response)
         if access.login is None:
             advice = ": it wants user and password; name them in the file of captures.credentials"
+        elif offers and not any(_is_known(offer) for offer in offers):
+            ways = ", ".join(re.split(r"[\s,]", offer)[0] for offer in offers)
+            advice = f": it wants a login of a kind that is not known ({ways}); choose Digest or Basic in the camera's settings"
     raise OSError(f"answered {response.status_code} {response.reason}{advice}")
 
 
@@ -273,8 +282,7 @@ class _OnDemand(HTTPDigestAuth):
         # 1. a digest, which does not reveal the password
         offers = _challenges(r)
         for offer in offers:
-            algorithm = re.search(r'(?i)\balgorithm="?([\w-]+)', offer)
-            if offer.lower().startswith("digest") and (algorithm is None or algorithm[1].upper() in _DIGESTS):
+            if offer.lower().startswith("digest") and _is_known(offer):
                 r.headers["www-authenticate"] = offer
                 return super().handle_401(r, **kwargs)
         # 2. plainly, unless that has just been refused
@@ -303,6 +311,17 @@ def _challenges(response: requests.Response) -> list[str]:
             if offer.strip(" ,"):
                 offers.append(offer.strip(" ,"))
     return offers
+
+
+def _is_known(offer: str) -> bool:
+    """Can Requests log in this way: plainly, or by a digest of a known algorithm that does not cover the body (auth-int)?"""
+    way = offer.lower()
+    if way.startswith("digest"):
+        algorithm = re.search(r'\balgorithm="?([\w-]+)', way)
+        kinds = re.search(r'\bqop="?([\w, -]+)', way)
+        has_algorithm = algorithm is None or algorithm[1].upper() in _DIGESTS
+        return has_algorithm and (kinds is None or "auth" in re.split(r"[\s,]+", kinds[1]))
+    return way.startswith("basic")
 
 
 def _session(url: str, access: Access) -> requests.Session:
@@ -365,6 +384,10 @@ def _cause(error: Exception, url: str, patience: float) -> str:
     if isinstance(error, requests.exceptions.InvalidURL | requests.exceptions.InvalidSchema):
         return "has an address that is not valid"
     reason = _innermost(error)
+    if isinstance(reason, http.client.RemoteDisconnected):
+        return "ends the connection without an answer"
+    if isinstance(reason, http.client.HTTPException | urllib3.exceptions.InvalidHeader):
+        return f"answers, but not as HTTP prescribes ({type(reason).__name__})"
     return f"cannot be reached: {getattr(reason, 'strerror', None) or type(reason).__name__}"
 
 

@@ -10,6 +10,7 @@ import re
 import ssl
 import subprocess
 import time
+import urllib.parse
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -71,7 +72,7 @@ class Camera(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         kind, _, name = self.path.strip("/").partition("/")
         with contextlib.suppress(OSError):
-            getattr(self, f"_{kind}")(name)
+            getattr(self, f"_{kind.replace('-', '_')}")(name)
 
     def _snapshot(self, name: str) -> None:
         self._send(SNAPSHOTS[name])
@@ -162,6 +163,26 @@ class Camera(BaseHTTPRequestHandler):
         self.send_response(int(code))
         self.send_header("Content-Length", "0")
         self.end_headers()
+
+    def _wants(self, way: str) -> None:
+        """A login of this kind, whatever is sent."""
+        self.send_response(401)
+        self.send_header("WWW-Authenticate", urllib.parse.unquote(way).replace("_", " "))
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def _not_compressed(self, _: str) -> None:
+        self._send(PICTURES[0], {"Content-Encoding": "gzip"})
+
+    def _not_http(self, _: str) -> None:
+        self.wfile.write(b"ICY 200 OK\r\n\r\n" + PICTURES[0])
+        self.close_connection = True
+
+    def _nothing(self, _: str) -> None:
+        self.close_connection = True
+
+    def _jpeg_of_html(self, _: str) -> None:
+        self._send(b"<html><body>Login</body></html>")
 
     def _html(self, _: str) -> None:
         self._send(b"<html><body>Login</body></html>", {"Content-Type": "text/html"})
@@ -272,6 +293,14 @@ def test_a_date_that_is_none_is_ignored(address: str, date: str) -> None:
         ("login/MD5", Access(("viewer", "wrong")), "answered 401.*check its user and password"),
         ("login/basic", Access(("viewer", "wrong")), "answered 401.*check its user and password"),
         ("redirect/redirect/redirect/html", Access(), "something else"),
+        ("wants/NTLM", Access(LOGIN), r"answered 401.*of a kind that is not known \(NTLM\); choose Digest or Basic"),
+        ("wants/Bearer_realm=cam", Access(LOGIN), r"not known \(Bearer\)"),
+        ('wants/Digest_realm="cam",_qop="auth-int",_nonce="n"', Access(LOGIN), r"not known \(Digest\)"),
+        ("not-compressed", Access(), r"says that its answer is compressed \(gzip\), and it is not"),
+        ("not-http", Access(), r"answers, but not as HTTP prescribes \(BadStatusLine\)"),
+        ("nothing", Access(), "ends the connection without an answer"),
+        ("status/204", Access(), r"an empty picture \(status 204\)"),
+        ("jpeg-of-html", Access(), "status 200, image/jpeg, 31 bytes: '<html><body>Login"),
     ],
 )
 def test_the_reason_says_what_was_answered(address: str, path: str, access: Access, words: str) -> None:
