@@ -93,6 +93,16 @@ CAMERA_FILES = {"lenses/gate.yaml": OPENCV, "lenses/roof.yaml": ROS, "lenses/mas
 """Camera files by name: a folder with one file per camera, and one file of all cameras."""
 
 
+_TIMES = {
+    "Unix seconds": "{camera}/{date:%s}.jpg",
+    "weeks": "{camera}/{date:%G-W%V-%u}.jpg",
+    "an offset from UTC": "{camera}/{date}T{time:%H%M%S%z}.jpg",
+    "the hour of 12 without its half of the day": "{camera}/{date}_{time:%I%M%S}.jpg",
+    "a month and no year": "{camera}/{date:%m-%d}.jpg",
+}
+"""Dates and times of file names that say too little, or in a way that is not read."""
+
+
 def texts() -> dict[str, str | bytes]:
     """Whole site files."""
     head = "site: x\ncaptures: {root: ., pattern: '{camera}.jpg'}\n"
@@ -123,6 +133,10 @@ def texts() -> dict[str, str | bytes]:
         "a mapping as key": "{a: b}: c\n",
         "a null key": f"{head}cameras: [a]\n~: 5\n",
         "a number as key": f"{head}cameras: [a]\n5: 5\n",
+        **{
+            f"a pattern with {what}": f"site: x\ncaptures: {{root: ., pattern: '{text}'}}\ncameras: [a]\n"
+            for what, text in _TIMES.items()
+        },
         "100,000 brackets": head + "cameras: " + "[" * 100_000,
         "100,000 braces": head + "cameras: " + "{a: " * 100_000,
         "brackets that are closed": head + "cameras: " + "[" * 5000 + "]" * 5000,
@@ -239,6 +253,22 @@ def changed() -> dict[str, dict[str, Any]]:
     }
 
 
+_LENS = {key: CALIBRATION["gate"][key] for key in ("K", "width", "height")}
+_POSES: dict[str, dict[str, Any]] = {
+    "millimetres": {"R": CALIBRATION["gate"]["R"], "t": [1200, 0, 0], "unit": "mm"},
+    "millimetres in the key": {"rvec": [0, 0, 0], "tvec_mm": [1200, 0, 0]},
+    "degrees": {"rvec": [0, 0, 90], "tvec": [0, 0, 0]},
+    "two rotations": {"R": CALIBRATION["gate"]["R"], "rvec": [0, 0, 0.5], "t": [0, 0, 0]},
+    "a quaternion of either order": {"quaternion": [0.9, 0.1, 0.3, 0.3], "t": [0, 0, 0]},
+    "roll, pitch and yaw": {"roll": 0, "pitch": 10, "yaw": 90, "C": [0, 0, 1]},
+}
+_STEREO_PARAMS = {
+    **{f"CameraParameters{k}": {"IntrinsicMatrix": _LENS["K"], "ImageSize": [480, 640]} for k in (1, 2)},
+    "RotationOfCamera2": CALIBRATION["gate"]["R"],
+    "TranslationOfCamera2": [-100, 0, 0],
+}
+
+
 def jsons() -> dict[str, str | bytes]:
     good = json.dumps(CALIBRATION)
     return {
@@ -261,6 +291,15 @@ def jsons() -> dict[str, str | bytes]:
         "a size of nothing": good.replace('"width": 640', '"width": 0', 1),
         "a size that is true": good.replace('"width": 640', '"width": true', 1),
         "a size of a quintillion": good.replace('"width": 640', f'"width": {10**18}', 1),
+        "UTF-16": good.encode("utf-16"),
+        "a NumPy archive": b"PK\3\4" + b"\0\xff" * 100,
+        "a MATLAB file": b"MATLAB 5.0 MAT-file" + b"\0\xff" * 100,
+        "numbers as text": good.replace("640", '"640"'),
+        "comments": f"// my rig\n{good}",
+        "MATLAB's stereoParams": json.dumps(_STEREO_PARAMS),
+        "cameras of OpenSfM": json.dumps({"a": {"projection_type": "perspective", "width": 640, "height": 480, "focal": 0.85}}),
+        "sfm_data of OpenMVG": json.dumps({"sfm_data_version": "0.3", "views": [], "intrinsics": [], "extrinsics": []}),
+        **{f"a pose of {name}": json.dumps({"gate": _LENS | pose}) for name, pose in _POSES.items()},
         "no principal point": good.replace("320", "null", 1),
     }
 

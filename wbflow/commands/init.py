@@ -76,8 +76,21 @@ def _cameras(folder: Path) -> list[tuple[str, list[str]]]:
         contents = f"no photographs ({', '.join(sorted(PHOTOGRAPHS))})"
         if cameras:
             contents = f"one camera only ({cameras[0][0]})"
-        raise UsageError(f"{folder} holds {contents}", remedy="two cameras that see the same things are the least")
+        remedy = "two cameras that see the same things are the least"
+        deeper = _deeper_photograph(folder)
+        if not cameras and deeper:
+            contents = f"photographs in folders within its folders ({deeper}), which init does not look into"
+            remedy = "write a site file with captures.pattern, such as '{camera}/**/*.jpg'; see sites/README.md"
+        raise UsageError(f"{folder} holds {contents}", remedy=remedy)
     return cameras
+
+
+def _deeper_photograph(folder: Path) -> str:
+    """The first photograph in the folders within a folder's folders, relative to it; "" if there is none."""
+    for path in folder.glob("*/*/**/*"):
+        if path.suffix.lower() in PHOTOGRAPHS and not any(map(is_nobodys, path.relative_to(folder).parts)):
+            return str(path.relative_to(folder))
+    return ""
 
 
 def _photographs(folder: Path) -> list[Path]:

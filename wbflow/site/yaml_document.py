@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -147,6 +148,11 @@ def similar(path: Path) -> str:
         names = [entry.name for entry in path.parent.iterdir()]
     except OSError:
         return ""
+    for name in names:
+        # macOS and some NAS write a letter and its accent as two characters: another name that looks the same
+        if name != path.name and unicodedata.normalize("NFC", name) == unicodedata.normalize("NFC", path.name):
+            how = "with its accents written in another way (Unicode NFC, NFD)"
+            return f"{printable(name)} is there, {how}: copy its name from there"
     return suggest(path.name, names, "")
 
 
@@ -164,8 +170,8 @@ def read_text(path: Path, remedy: str = "") -> str:
         line = error.object[: error.start].count(b"\n") + 1
         column = error.start - error.object.rfind(b"\n", 0, error.start)
         if b"\0" in error.object and not error.object.startswith(_UTF_16):
-            what = "is a binary file, not text"
-            raise SiteError(Problem(path, what, "export what it holds as text, such as JSON or YAML")) from None
+            remedy = "export what it holds as text, such as JSON or YAML"
+            raise SiteError(Problem(path, "is a binary file, not text", remedy, line, column)) from None
         raise SiteError(Problem(path, "is not UTF-8 text", "save the file as UTF-8", line, column)) from None
 
 

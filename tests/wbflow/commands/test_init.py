@@ -142,6 +142,7 @@ def test_a_site_file_is_never_overwritten(tmp_path: Path) -> None:
         ([], "holds no photographs"),
         (["gate.jpg"], "holds one camera only (gate)"),
         (["gate.jpg", "roof/1.jpg"], "keep one kind"),
+        (["gate/2026-W47/1.jpg", "roof/2026-W47/1.jpg"], "within its folders"),
     ],
 )
 def test_unsuitable_folders_are_refused_and_nothing_is_written(tmp_path: Path, files: list[str], message: str) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -202,6 +204,15 @@ def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
 )
 def test_files_that_are_not_site_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     assert any(problem.startswith(f"site.yaml:{message}") for problem in problems(tmp_path, text))
+
+
+@pytest.mark.parametrize(("stated", "there"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_a_folder_whose_accents_are_written_in_another_way_is_named(
+    tmp_path: Path, stated: Literal["NFC", "NFD"], there: Literal["NFC", "NFD"]
+) -> None:
+    (tmp_path / unicodedata.normalize(there, "Höfe")).mkdir()
+    (problem,) = problems(tmp_path, GOOD.replace("images", unicodedata.normalize(stated, "Höfe")))
+    assert "is there, with its accents written in another way (Unicode NFC, NFD)" in problem
 
 
 def test_a_missing_site_file_is_an_error(tmp_path: Path) -> None:
