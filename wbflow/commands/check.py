@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 import difflib
 import importlib
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -64,6 +65,7 @@ def check(site: Site, date: datetime.date | None, network: bool = True) -> list[
     faults += check_captures(site, night)
     if network:
         faults += check_urls(site)
+    faults += check_work(night)
     faults += check_disk(night)
     faults += check_published(site.work_folder)
     return faults
@@ -243,6 +245,20 @@ def check_published(work: WorkFolder) -> list[Fault]:
         except NoSuchRun as error:
             faults.append(Fault("error", error.what, remedy, ExitCode.DEGRADED))
     return faults
+
+
+def check_work(night: Night) -> list[Fault]:
+    """Can the work folder be written, or made where it is not there yet?"""
+    root = night.cache.work.root
+    # the first of these that is there, even if it is a link that leads nowhere
+    place = next(path for path in (root, *root.parents) if os.path.lexists(path))
+    if not place.is_dir():
+        what = f"work: {printable(place)} is no folder"
+        return [Fault("error", what, "name a folder as `work`; it is made if it is not there", ExitCode.FAILED)]
+    if not os.access(place, os.W_OK | os.X_OK):
+        what = f"work: {printable(place)} cannot be written"
+        return [Fault("error", what, "check the rights on it and its file system, or name another folder", ExitCode.FAILED)]
+    return []
 
 
 def check_disk(night: Night) -> list[Fault]:

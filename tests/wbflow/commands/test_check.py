@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -89,6 +90,26 @@ def test_a_night_without_captures_is_told_the_nights_that_have_some(folder: Path
     assert result.exit_code == 1
     assert "there are 3 other nights with captures, the nearest 2026-11-17, 2026-11-18, 2026-11-19" in result.output
     assert "site.yaml --date 2026-11-17" in result.output
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"), [("file", "is no folder"), ("link", "is no folder"), ("read-only", "cannot be written")]
+)
+def test_a_work_folder_that_a_run_cannot_use_is_found(
+    folder: Path, kind: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = folder / "elsewhere"
+    if kind == "file":
+        work.write_text("")
+    elif kind == "link":
+        work.symlink_to("nowhere")
+    else:
+        work.mkdir()
+        # rights do not bind the superuser, as whom tests may run
+        monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != work)
+    code, text = checked(folder, more="work: elsewhere")
+    assert code == 1
+    assert f"work: {work} {message}" in text
 
 
 def test_a_frozen_camera_is_found(folder: Path) -> None:
