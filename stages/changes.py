@@ -19,7 +19,7 @@ from .change.cloud_distance import spacing_of
 from .change.clusters import ChangeCluster, Side, find_clusters
 from .change.evidence import Epoch, Evidence, compare_nights, mark_changed, noise_of, seen_by
 from .change.ground_points import TOP_QUANTILE, GroundPoints, points_over_ground
-from .change.standing import Standing, known_standing, with_hulls, with_ids
+from .change.standing import Standing, doubts, known_standing, with_hulls, with_ids
 from .change.volumes import detection_of, is_large_for, volumes
 from .contracts.ground_figures import UsedIds
 from .core.cameras import camera_id, project
@@ -175,6 +175,8 @@ def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, 
     # 3. What may be behind the seen surfaces.
     standing_new = with_hulls(standing_new, new, old, grid, spacing=limits.spacing, similar=limits.similar)
     standing_old = with_hulls(standing_old, old, new, grid, spacing=limits.spacing, similar=limits.similar)
+    doubts_new = doubts(unconfirmed_new, standing_new, new, old, grid, spacing=limits.spacing, similar=limits.similar)
+    doubts_old = doubts(unconfirmed_old, standing_old, old, new, grid, spacing=limits.spacing, similar=limits.similar)
 
     # 4. Changes of tonight get ids: a new one and a vanished one that are similar are a thing that was moved, and have one.
     standing, highest_id = with_ids([*standing_new, *standing_old], known.highest_id)
@@ -190,7 +192,7 @@ def _compared(tonight: Epoch, pinned: Epoch, grid: GroundGrid, limits: _Limits, 
         least_area=limits.least_area,
     )
     counted = [each.cluster for each in standing if each.cluster is not None]
-    counted += [*unconfirmed_new, *unconfirmed_old]
+    counted += [*doubts_new, *doubts_old]
     total, by_zone = volumes(grid, (height_tonight, height_before), counted, limits.zones, detection)
 
     # 6. Changes that a zone counts are reported.

@@ -92,9 +92,12 @@ class ChangeCluster:
     vanished: bool
     """True if the points are of the earlier night: the thing has vanished."""
     confirmed: bool
-    """True if enough cameras saw through its place for a report; otherwise its volume only adds uncertainty."""
+    """True if enough cameras saw through its place for a report, and its volume is clearly more than its error; otherwise it only
+    adds uncertainty."""
     colour: Float64s
     """(2,) mean shares of red and green."""
+    swept_volume: float = np.inf
+    """Volume between both nights' surfaces, world units cubed; inf if too few distances are known."""
     seen: bool = True
     """False if it is carried on from earlier nights, and tonight knows nothing of it."""
     unseen: UnseenParts = NOTHING_UNSEEN
@@ -130,7 +133,7 @@ def find_clusters(
     least_area: float,
     similar: float,
 ) -> list[ChangeCluster]:
-    """Changes that a night's changed points form, if enough cameras saw through their places and the images differ.
+    """Changes that a night's changed points form, if at least half of the cameras saw through their places and the images differ.
 
     Not all of them are confirmed.
 
@@ -160,9 +163,9 @@ def find_clusters(
             continue
 
         # 2. The ground that it covers.
-        confirmed = cleared >= _LEAST_CLEARED
+        is_cleared = cleared >= _LEAST_CLEARED
         surface = surface_of(side, rows)
-        footprint = footprint_of(surface, groups == number, unchanged, grid, other, spacing, trimmed=confirmed)
+        footprint = footprint_of(surface, groups == number, unchanged, grid, other, spacing, trimmed=is_cleared)
         if footprint is None:
             continue
 
@@ -171,8 +174,7 @@ def find_clusters(
         swept_volume = np.inf  # with too few distances, the volume that the surface has swept is unknown
         if measured.mean() > _LEAST_MEASURED:
             swept_volume = area * float(side.distance[rows][measured].mean())
-        if not _is_certain(surface, footprint, grid, spacing, swept_volume):
-            continue
+        confirmed = is_cleared and _is_certain(surface, footprint, grid, spacing, swept_volume)
         change = describe(surface, footprint, grid, spacing)
         change = replace(
             change,
@@ -180,7 +182,8 @@ def find_clusters(
             likeness=likeness,
             significance=float(np.median(side.significance[rows])),
         )
-        clusters.append(ChangeCluster(change, footprint, surface, rows, vanished, confirmed, colour_of(own.colors[rows])))
+        colour = colour_of(own.colors[rows])
+        clusters.append(ChangeCluster(change, footprint, surface, rows, vanished, confirmed, colour, swept_volume))
     return clusters
 
 
@@ -327,7 +330,8 @@ def footprint_of(
 def with_unseen(cluster: ChangeCluster, unseen: UnseenParts, grid: GroundGrid, spacing: float) -> ChangeCluster:
     """The change with the interval of its volume: its seen part, and what unseen parts may add.
 
-    The least volume is that below which points were seen, the most that of the seen part and all unseen ones together.
+    The least volume is that below which points were seen, the most that of the seen part and all unseen ones together, whose
+    border is as uncertain as that of the seen part.
 
     Parameters
     ----------
@@ -335,14 +339,17 @@ def with_unseen(cluster: ChangeCluster, unseen: UnseenParts, grid: GroundGrid, s
     grid, spacing : cells of the ground, and the spacing of the points.
     """
     change = cluster.change
-    seen_sigma = float(np.linalg.norm(errors_of(cluster.surface, cluster.footprint, grid, spacing)))
+    seen_errors = errors_of(cluster.surface, cluster.footprint, grid, spacing)
+    seen_sigma = float(np.linalg.norm(seen_errors))
+    all_cells = np.union1d(cluster.footprint.cells, unseen.cells)
+    most_sigma = float(np.hypot(spacing * _rim_length(all_cells, grid) * change.height, seen_errors[1]))
     inferred = cluster.footprint.volume_sigma / UNKNOWN_SHARE_SIGMA
     hidden = float(unseen.volume.sum())
     change = replace(
         change,
         volume_sigma=float(np.linalg.norm([seen_sigma, cluster.footprint.volume_sigma, UNKNOWN_SHARE_SIGMA * hidden])),
         volume_least=max(0.0, change.volume - inferred - _SURE_SIGMAS * seen_sigma),
-        volume_most=change.volume + hidden + _SURE_SIGMAS * seen_sigma,
+        volume_most=change.volume + hidden + _SURE_SIGMAS * max(seen_sigma, most_sigma),
     )
     return replace(cluster, change=change, unseen=unseen)
 
@@ -355,12 +362,16 @@ def errors_of(surface: Surface, footprint: Footprint, grid: GroundGrid, spacing:
     surface, footprint : of the change.
     grid, spacing : cells of the ground, and the spacing of the points.
     """
-    is_covered = np.zeros((grid.rows, grid.columns), bool)
-    is_covered.ravel()[footprint.cells] = True
-    rim_length = float((is_covered & ~ndimage.binary_erosion(is_covered)).sum() * grid.cell)
     height = float(np.quantile(footprint.height, 0.9))
     area = float(footprint.share.sum() * grid.cell**2)
-    return spacing * rim_length * height, area * float(np.median(surface.sigma))
+    return spacing * _rim_length(footprint.cells, grid) * height, area * float(np.median(surface.sigma))
+
+
+def _rim_length(cells: Int64s, grid: GroundGrid) -> float:
+    """Length of the border of some cells (m,) of the ground."""
+    is_covered = np.zeros((grid.rows, grid.columns), bool)
+    is_covered.ravel()[cells] = True
+    return float((is_covered & ~ndimage.binary_erosion(is_covered)).sum() * grid.cell)
 
 
 def _is_certain(surface: Surface, footprint: Footprint, grid: GroundGrid, spacing: float, swept_volume: float) -> bool:

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from ..core.ground_grid import cells_of
 from ..types import Bools, Change, Float64s, GroundGrid, Hull, Int64s, KnownPlace
+from .cloud_distance import CONFIDENCE
 from .clusters import (
     ChangeCluster,
     Side,
@@ -23,9 +24,19 @@ from .clusters import (
     unchanged_cells,
     with_unseen,
 )
-from .evidence import Epoch
+from .evidence import CORE, Epoch
 from .ground_points import GroundPoints, seen_cells, surface_below, tops
-from .hull import NOTHING_UNSEEN, carved_by, cells_under, hull_around, is_reshaped, nearer_to_others, possible_cells, unseen_parts
+from .hull import (
+    NOTHING_UNSEEN,
+    UnseenParts,
+    carved_by,
+    cells_under,
+    hull_around,
+    is_reshaped,
+    nearer_to_others,
+    possible_cells,
+    unseen_parts,
+)
 from .identity import Recognised, recognise
 
 
@@ -147,8 +158,6 @@ def with_hulls(
     """
     footprints = [each.cluster.footprint.cells for each in standing if each.cluster is not None]
     known_ground = unchanged_cells(own.evidence, grid)
-    known_before = seen_cells(tops(other.ground.cells, other.ground.levels, known_ground.shape))
-    not_known_before = ~ndimage.binary_fill_holes(known_before)  # what known ground surrounds is ground, too
     done = []
     number = 0
     for each in standing:
@@ -164,15 +173,67 @@ def with_hulls(
         hull = carved_by(hull, own.night, other.night, grid, known_ground, similar)
 
         # 2. What is left may be filled, as far as it is nearer to this change than to others.
-        points = cluster.surface.points
-        base = surface_below(cells_under(hull, grid), other.ground, _highest(points, grid) + 2 * spacing)
-        parts = NOTHING_UNSEEN
-        if base is not None:
-            left_out = nearer_to_others(grid, footprints, number) | not_known_before
-            parts = unseen_parts(hull, points, cluster.footprint, grid, base, left_out)
+        left_out = nearer_to_others(grid, footprints, number)
+        parts = _unseen_in(hull, cluster, other, grid, spacing, left_out)
         done.append(replace(each, cluster=with_unseen(cluster, parts, grid, spacing), hull=hull))
         number += 1
     return done
+
+
+def doubts(
+    unconfirmed: Sequence[ChangeCluster], standing: Sequence[Standing], own: Side, other: Side, grid: GroundGrid, *,
+    spacing: float, similar: float,
+) -> list[ChangeCluster]:  # fmt: skip
+    """The unconfirmed changes of one kind with the most that each may be, if it is real.
+
+    Where distances to the other night's surface are known, that is the volume between the surfaces: a wall that seems to have
+    moved a little hides nothing.  Where cameras saw through instead, it is a thing of which perhaps one side is seen, and what
+    they cannot exclude behind it counts.
+
+    Parameters
+    ----------
+    unconfirmed, standing : these changes, and those of the same kind that are confirmed, with their unseen parts.
+    own, other : the night on which they stand, compared with the other one.
+    grid : cells of the ground.
+    spacing : of the points.
+    similar : correlation above which images show the same surface.
+    """
+    # Space that a confirmed change may fill counts there already.
+    taken = np.zeros((grid.rows, grid.columns), bool)
+    for each in standing:
+        if each.cluster is not None:
+            taken.ravel()[each.cluster.footprint.cells] = True
+            taken.ravel()[each.cluster.unseen.cells] = True
+    things = [cluster for cluster in unconfirmed if np.isinf(cluster.swept_volume)]
+    footprints = [thing.footprint.cells for thing in things]
+    known_ground = unchanged_cells(own.evidence, grid)
+    done = []
+    for number, thing in enumerate(things):
+        hull = hull_around(thing.footprint, grid, spacing)
+        hull = carved_by(hull, own.night, other.night, grid, known_ground, similar)
+        left_out = nearer_to_others(grid, footprints, number) | taken
+        done.append(with_unseen(thing, _unseen_in(hull, thing, other, grid, spacing, left_out), grid, spacing))
+    for cluster in unconfirmed:
+        if np.isfinite(cluster.swept_volume):
+            area = len(cluster.rows) * (CORE * spacing) ** 2
+            sigma = area * float(np.median(own.evidence.sigma[cluster.rows]))
+            most = max(0.0, cluster.swept_volume) + CONFIDENCE * sigma
+            done.append(replace(cluster, change=replace(cluster.change, volume_most=most)))
+    return done
+
+
+def _unseen_in(hull: Hull, cluster: ChangeCluster, other: Side, grid: GroundGrid, spacing: float, left_out: Bools) -> UnseenParts:
+    """What unseen parts of a change may fill of its hull, above ground that was known on the other night.
+
+    left_out: (rows, columns) cells that do not count, besides those of unknown ground.
+    """
+    points = cluster.surface.points
+    base = surface_below(cells_under(hull, grid), other.ground, _highest(points, grid) + 2 * spacing)
+    if base is None:
+        return NOTHING_UNSEEN
+    known_before = seen_cells(tops(other.ground.cells, other.ground.levels, left_out.shape))
+    not_known_before = ~ndimage.binary_fill_holes(known_before)  # what known ground surrounds is ground, too
+    return unseen_parts(hull, points, cluster.footprint, grid, base, left_out | not_known_before)
 
 
 def with_ids(standing: Sequence[Standing], highest: int) -> tuple[list[Standing], int]:

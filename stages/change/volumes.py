@@ -154,32 +154,34 @@ class _Volume:
 def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, detection: Detection) -> _Volume:
     """Volume of the parts of changes that lie inside.
 
-    An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, or not.  One of which tonight knows
-    nothing adds the volume of earlier nights, and may be gone.
+    An unconfirmed change adds no volume, but uncertainty: it may be real, wholly or in part, with all that it may hide, or not.
+    The doubts about several have the same causes (few pixels, few cameras, a lamp), so that they add up and do not average out.
+    One of which tonight knows nothing adds the volume of earlier nights, and may be gone.
     """
     volume = 0.0
     area = 0.0
     least = 0.0
     most = 0.0
     variance = 0.0
+    doubtful = 0.0
     for cluster in clusters:
-        # 1. What was seen of it, as far as it lies inside.
+        # 1. What was seen of it, as far as it lies inside, and the most that it may be with its unseen parts.
         footprint = cluster.footprint
         change = cluster.change
         share = np.where(inside.ravel()[footprint.cells], footprint.share, 0.0)
         part_volume = float((share * footprint.height).sum() * grid.cell**2)
         part = part_volume / max(change.volume, 1e-9)
+        unseen_inside = float(cluster.unseen.volume[inside.ravel()[cluster.unseen.cells]].sum())
+        part_most = part * (change.volume_most - float(cluster.unseen.volume.sum())) + unseen_inside
+        most += part_most
         if not cluster.confirmed:
-            variance += (UNKNOWN_SHARE_SIGMA * part_volume) ** 2
-            most += part_volume
+            doubtful += part_most
             continue
         volume += part_volume
         area += float(share.sum() * grid.cell**2)
 
-        # 2. What was not: most of it adds to the interval.
-        unseen_inside = float(cluster.unseen.volume[inside.ravel()[cluster.unseen.cells]].sum())
+        # 2. Its errors, and the least that it must be.
         variance += (change.volume_sigma * part) ** 2
-        most += part * (change.volume_most - float(cluster.unseen.volume.sum())) + unseen_inside
         if cluster.seen:
             least += part * change.volume_least
         else:
@@ -189,7 +191,7 @@ def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, 
     common = float(np.hypot(detection.least_area * detection.level, area * detection.common_sigma))
     return _Volume(
         volume=volume,
-        sigma=float(np.hypot(np.sqrt(variance), common)),
+        sigma=float(np.linalg.norm([np.sqrt(variance), UNKNOWN_SHARE_SIGMA * doubtful, common])),
         least=max(0.0, least - _SURE_SIGMAS * common),
         most=most + _SURE_SIGMAS * common,
     )

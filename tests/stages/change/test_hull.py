@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from tests.helpers.changed_yard import CRATE, Box, BoxNight, box_night
@@ -63,3 +65,37 @@ def test_a_site_without_changes_has_narrow_intervals_about_zero() -> None:
     assert whole
     assert (whole.gained_least, whole.lost_least) == (0, 0)
     assert (whole.gained_most, whole.lost_most) == pytest.approx((0, 0), abs=0.1)
+
+
+def sides_only(night: BoxNight, box: Box) -> BoxNight:
+    """The night without the top of a box: low cameras and few pixels leave no more than its sides."""
+    low, high = np.array(box)
+    points = night.cloud.points
+    over = np.all((points[:, :2] > low[:2] - 0.05) & (points[:, :2] < high[:2] + 0.05), axis=1)
+    kept = ~(over & (night.cloud.normals[:, 2] > 0.5) & (points[:, 2] > high[2] - 0.1))
+    cloud = night.cloud
+    cloud = replace(
+        cloud,
+        points=cloud.points[kept],
+        normals=cloud.normals[kept],
+        colors=cloud.colors[kept],
+        confidence=cloud.confidence[kept],
+        views=cloud.views[kept],
+        sigma_mm=cloud.sigma_mm[kept],
+    )
+    return replace(night, cloud=cloud)
+
+
+def test_a_thing_of_which_only_sides_are_seen_is_in_the_balance_with_all_that_it_may_hide() -> None:
+    whole = compared(sides_only(night(CRATE, BOX), BOX), night(CRATE, seed=0)).cut_fill
+    assert whole
+    assert whole.gained_least <= VOLUME <= whole.gained_most
+    assert abs(whole.gained - VOLUME) < 2 * whole.gained_sigma
+    assert whole.gained_most < 6 * VOLUME, "only what cameras could not see through"
+
+
+def test_a_strip_of_wall_that_seems_to_have_moved_hides_nothing() -> None:
+    strip: Box = ((-4.0, 4.93, 0.5), (-3.6, 5.0, 2.0))
+    found = compared(night(CRATE, strip), night(CRATE, seed=0))
+    assert found.count == 0
+    assert found.cut_fill and 0.4 * 0.07 * 1.5 <= found.cut_fill.gained_most < 0.06
