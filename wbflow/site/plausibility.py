@@ -451,10 +451,13 @@ def _check_parameters(stages: Mapping[str, StageSettings], reader: Functions, pr
         dotted = [stage.function]
         if stage.method:
             dotted += reader.table(stage.method.table).values()
+        checked: set[str] = set()  # several methods may have a parameter of one name: it is judged once
         for function in dotted:
             signature = reader.signature(function)
             known = signature.parameters
-            used = [known[key] for key in settings.parameters if key in known]
+            names = [key for key in settings.parameters if key in known and key not in checked]
+            checked.update(names)
+            used = [known[key] for key in names]
             _, docs = document(signature, used)
             for doc in docs:
                 location = ("stages", name, doc.parameter.name)

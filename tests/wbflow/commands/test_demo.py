@@ -112,7 +112,7 @@ def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(files, "_files", stops)
+        patch.setattr(files, "scene_files", stops)
         write_demo(tmp_path / "demo", small=True)
     write_demo(tmp_path / "demo", small=True)
     assert load_site(tmp_path / "demo").posed
