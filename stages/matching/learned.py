@@ -12,7 +12,6 @@ the pair and two keypoint indices, or one index for each left keypoint, negative
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,7 @@ import numpy as np
 
 from ..contracts.defaults import MIN_SCORE
 from ..types import Bools, Capture, Float32s, Float64s, Frame, Matches
-from .onnx_model import input_shapes, model_input, onnx_session, run
+from .onnx_model import input_shapes, interface_of, model_input, onnx_session, run
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def match_onnx(
     """
     session = onnx_session(model)
     shapes = input_shapes(session)
-    interface = _interface(model.name, shapes, [value.name for value in session.get_outputs()])
+    interface = _interface(model.name, session)
 
     # the images in the sizes that the model takes
     left_shape = shapes[interface.inputs[0]]
@@ -80,14 +79,15 @@ def match_onnx(
     return Matches(x1[keep], x2[keep], None, None, p, None, left_frame.view, right_frame.view)
 
 
-def _interface(name: str, shapes: Mapping[str, tuple[int, ...]], outputs: Sequence[str]) -> _Interface:
+def _interface(name: str, session: Any) -> _Interface:
     """The interface that a model has.  Raises ValueError if it has neither of the two, or takes no grey or RGB images."""
+    shapes = input_shapes(session)
+    outputs = [value.name for value in session.get_outputs()]
     takes_images = all(len(sizes) == 4 and sizes[1] in {0, 1, 3} for sizes in shapes.values())
     for interface in (_TWO_IMAGES, _ONE_BATCH):
         if takes_images and set(shapes) == set(interface.inputs) and set(outputs) >= set(interface.outputs):
             return interface
-    takes = ", ".join(f"{input_name} {sizes}" for input_name, sizes in shapes.items())
-    raise ValueError(f"{name} takes {takes} and gives {', '.join(outputs)}: {_NEEDED}")
+    raise ValueError(f"{name} {interface_of(session)}: {_NEEDED}")
 
 
 def _size(shape: tuple[int, ...], frame: Frame, long_side_px: int) -> tuple[int, int]:

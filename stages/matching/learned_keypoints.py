@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from ..contracts.defaults import CROWDING, GRID_COLUMNS, MAX_KEYPOINTS, MIN_SCORE, TILTED_KEYPOINTS
 from ..types import LEARNED, TILTED, Bools, Capture, Features, Float32s, Float64s, Frame, Uint8s
 from .neighbours import nearest_lookalike
-from .onnx_model import input_shapes, onnx_session, run
+from .onnx_model import input_shapes, interface_of, onnx_session, run
 from .sift import detect_sift
 from .spread import Spread
 
@@ -151,9 +151,8 @@ def _checked_interface(name: str, session: Any) -> dict[str, tuple[int, ...]]:
     takes_image = len(shapes.get("image", ())) == 4 and shapes["image"][1] in {0, 3}
     if takes_image and set(shapes) == set(_INPUTS) and set(outputs) >= set(_OUTPUTS):
         return shapes
-    takes = ", ".join(f"{input_name} {sizes}" for input_name, sizes in shapes.items())
     raise ValueError(
-        f"{name} takes {takes} and gives {', '.join(outputs)}: a detector of {', '.join(_INPUTS)} -> {', '.join(_OUTPUTS)} is"
+        f"{name} {interface_of(session)}: a detector of {', '.join(_INPUTS)} -> {', '.join(_OUTPUTS)} is"
         " wanted, such as aliked-n32.onnx as COLMAP publishes it"
     )
 
@@ -183,8 +182,10 @@ def _tiles(width: int, height: int, side: int) -> Iterator[_Tile]:
     rows = -(-height // side)
     for row in range(rows):
         for column in range(columns):
-            left, right = width * column // columns, width * (column + 1) // columns
-            top, bottom = height * row // rows, height * (row + 1) // rows
+            left = width * column // columns
+            right = width * (column + 1) // columns
+            top = height * row // rows
+            bottom = height * (row + 1) // rows
             yield _Tile(
                 left, top, right, bottom,
                 max(left - _OVERLAP_PX, 0),
@@ -213,10 +214,11 @@ def _search(
     h, w = part.shape[:2]
     padded = np.pad(part, ((0, -h % _STRIDE), (0, -w % _STRIDE), (0, 0)), mode="edge")
     planes = np.ascontiguousarray(padded.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255)
+    # models take a limit as a number, or as a vector of one
     inputs = {
         "image": planes,
-        "max_keypoints": np.full(shapes["max_keypoints"] and (1,), wanted, np.int64),
-        "min_score": np.full(shapes["min_score"] and (1,), min_score, np.float32),
+        "max_keypoints": np.full([1] * len(shapes["max_keypoints"]), wanted, np.int64),
+        "min_score": np.full([1] * len(shapes["min_score"]), min_score, np.float32),
     }
     keypoints, descriptors, scores = run(name, session, _OUTPUTS, inputs)
 
@@ -240,7 +242,8 @@ def _search(
 def _is_strongest_near(xy: Float64s, scores: Float32s) -> Bools:
     """(n,) keypoints without a stronger one within `_DISTINCT_PX`; of equally strong ones, the first row counts as stronger."""
     pairs = cKDTree(xy).query_pairs(_DISTINCT_PX, output_type="ndarray")
-    first, second = pairs[:, 0], pairs[:, 1]  # the first row is the smaller one
+    first = pairs[:, 0]
+    second = pairs[:, 1]  # the larger row of the two
     weaker = np.where(scores[second] > scores[first], first, second)
     is_strongest = np.ones(len(xy), dtype=bool)
     is_strongest[weaker] = False

@@ -76,3 +76,10 @@ def model_input(image: Uint8s, size: tuple[int, int], channels: int) -> Float32s
     image = np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
     planes = grey_levels(image)[None] if channels == 1 else image.transpose(2, 0, 1)
     return np.ascontiguousarray(planes[None], dtype=np.float32) / np.float32(255)
+
+
+def interface_of(session: Any) -> str:
+    """What a model takes and gives, in words: for the message of a model of another interface."""
+    taken = ", ".join(f"{name} {sizes}" for name, sizes in input_shapes(session).items())
+    given = ", ".join(value.name for value in session.get_outputs())
+    return f"takes {taken} and gives {given}"

@@ -63,9 +63,9 @@ class Evidence(NamedTuple):
 EVIDENCE = Evidence()
 """The evidence of SIFT keypoints, in every round but the last, which begins from `final_base`."""
 LEARNED_EVIDENCE = Evidence(scale_weight=0.0, angle_weight=0.0)
-"""The evidence of learned keypoints, whose frames say nothing.  The other coefficients are those of SIFT: fitted to matches of
-ALIKED on half of the pairs of the fountain (softmax of each keypoint's candidates), they lost two thirds of the right matches
-above 70 degrees on the other pairs without being more precise."""
+"""The evidence of learned keypoints, whose frames say nothing.  The other coefficients are those of SIFT: fitted to ALIKED
+on half of the fountain's pairs, they lost two thirds of the right matches above 70 degrees (all pairs of fountain and entry) and
+were no more precise there."""
 EPIPOLAR = EVIDENCE.epipolar
 """Largest gain in nats that the epipolar term can bring, as a constant that kernels can read."""
 LEAST_LOG_ODDS = -8.0
@@ -377,7 +377,7 @@ def initial_matches(pairs: tuple[ViewPair, ...]) -> Correspondences:
     if len(pairs) > 1:
         matches = matches.at(without_repeats(matches.x1, matches.x2, 1 - matches.ratio))
     ratio = matches.ratio
-    confirmed = matches.confirmed()
+    confirmed = confirmations(matches.x1, matches.x2, matches.affine, matches.has_frames)
     accepted = (confirmed >= CONFIRMED) | ((confirmed >= 1) & (ratio < GOOD_RATIO)) | (ratio < CLEAR_RATIO)
     if accepted.sum() < FEWEST_FIRST:
         # the field needs matches to begin with: a confirmation counts as much as 0.2 of the ratio
@@ -408,16 +408,6 @@ class _FirstMatches:
         """Some of the matches."""
         return _FirstMatches(*(getattr(self, field.name)[rows] for field in fields(_FirstMatches)))
 
-    def confirmed(self) -> Int32s:
-        """(n,) int32 number of matches of the same kind around each that confirm it."""
-        count = np.zeros(len(self.i1), np.int32)
-        framed = self.has_frames
-        count[framed] = confirmations(self.x1[framed], self.x2[framed], self.affine[framed])
-        # neighbours agree with the best of many maps: some always do, and the first few confirm nothing
-        _, support = local_consensus(self.x1[~framed], self.x2[~framed])
-        count[~framed] = np.maximum(support - CONSENSUS + CONFIRMED, 0)
-        return count
-
 
 def _clear_matches(pair: ViewPair) -> _FirstMatches:
     """Mutual nearest neighbours of a pair of views within `MAX_RATIO`."""
@@ -437,11 +427,25 @@ def _joined_first(parts: list[_FirstMatches]) -> _FirstMatches:
     return _FirstMatches(*columns)
 
 
-def confirmations(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
-    """(n,) int32 number of the nearest matches around each match that predict its position and frame.
+def confirmations(x1: Float64s, x2: Float64s, affine: Float64s, has_frames: Bools) -> Int32s:
+    """(n,) int32 number of matches around each match that confirm it: of the same kind, with frames or without.
 
-    x1, x2: (n, 2) pixels of the matches in either image; affine: (n, 2, 2) from frame 1 to frame 2 of each.
+    Parameters
+    ----------
+    x1, x2 : (n, 2) pixels of the matches in either image.
+    affine : (n, 2, 2) from frame 1 to frame 2 of each.
+    has_frames : (n,) False for matches of learned keypoints, whose `affine` says nothing.
     """
+    count = np.zeros(len(x1), np.int32)
+    count[has_frames] = _confirmations_by_frames(x1[has_frames], x2[has_frames], affine[has_frames])
+    # neighbours agree with the best of many maps: some always do, and the first few confirm nothing
+    _, support = local_consensus(x1[~has_frames], x2[~has_frames])
+    count[~has_frames] = np.maximum(support - CONSENSUS + CONFIRMED, 0)
+    return count
+
+
+def _confirmations_by_frames(x1: Float64s, x2: Float64s, affine: Float64s) -> Int32s:
+    """(n,) int32 number of the nearest matches around each match that predict its position and frame."""
     count = np.zeros(len(x1), np.int32)
     if len(x1) >= 4:
         # one more than wanted: each match is its own nearest

@@ -113,7 +113,7 @@ def _initial_matches(pair: ViewPair) -> Correspondences:
     x1 = pair.x1[i]
     x2 = pair.x2[j]
     affine = np.linalg.inv(pair.inverse_frames2[j]) @ inverses(pair.frames1[i])
-    is_confirmed = confirmations(x1, x2, affine) >= FEWEST_CONFIRMING
+    is_confirmed = confirmations(x1, x2, affine, np.full(len(i), pair.has_frames)) >= FEWEST_CONFIRMING
     keep = without_repeats(x1[is_confirmed], x2[is_confirmed], -q[is_confirmed])
     rows1 = pair.rows1[i[is_confirmed]][keep]
     rows2 = pair.rows2[j[is_confirmed]][keep]
