@@ -113,7 +113,10 @@ def _initial_matches(pair: ViewPair) -> Correspondences:
     x1 = pair.x1[i]
     x2 = pair.x2[j]
     affine = np.linalg.inv(pair.inverse_frames2[j]) @ inverses(pair.frames1[i])
-    is_confirmed = confirmations(x1, x2, affine, np.full(len(i), pair.has_frames)) >= FEWEST_CONFIRMING
+    # By frames also for learned keypoints, whose frames are all alike: their neighbours agree by chance where the best candidates
+    # are taken away, and a right pair of the fountain became ambiguous, while no wrong one was found.
+    by_frames = np.ones(len(i), dtype=bool)
+    is_confirmed = confirmations(x1, x2, affine, by_frames) >= FEWEST_CONFIRMING
     keep = without_repeats(x1[is_confirmed], x2[is_confirmed], -q[is_confirmed])
     rows1 = pair.rows1[i[is_confirmed]][keep]
     rows2 = pair.rows2[j[is_confirmed]][keep]
