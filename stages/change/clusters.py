@@ -50,8 +50,8 @@ vehicles become changes."""
 _EDGE_SPACINGS = 0.5
 """Error of edges for this ratio, in point spacings.  The volume's standard deviation takes a whole spacing: edges of matched
 surfaces are off by about a pixel, equally all around."""
-_SURE_SIGMAS = 1.96
-"""Standard deviations between the seen volume and either end of its interval: 95 % of normal errors lie within."""
+SURE_SIGMAS = 1.96
+"""Standard deviations between a value and either end of its interval: 95 % of normal errors lie within."""
 _NO_LIKENESS = -2.0
 """Likeness of a change whose images cannot be compared: below every correlation."""
 
@@ -348,8 +348,8 @@ def with_unseen(cluster: ChangeCluster, unseen: UnseenParts, grid: GroundGrid, s
     change = replace(
         change,
         volume_sigma=float(np.linalg.norm([seen_sigma, cluster.footprint.volume_sigma, UNKNOWN_SHARE_SIGMA * hidden])),
-        volume_least=max(0.0, change.volume - inferred - _SURE_SIGMAS * seen_sigma),
-        volume_most=change.volume + hidden + _SURE_SIGMAS * max(seen_sigma, most_sigma),
+        volume_least=max(0.0, change.volume - inferred - SURE_SIGMAS * seen_sigma),
+        volume_most=change.volume + hidden + SURE_SIGMAS * max(seen_sigma, most_sigma),
     )
     return replace(cluster, change=change, unseen=unseen)
 

@@ -26,8 +26,6 @@ REACH = 15.0
 """Half length of these cylinders, in spacings: larger distances are not measured."""
 CORE = 2.0
 """Distance of core points, in spacings."""
-_THROUGH_RATIO = 2.0
-"""A place counts as free if the cameras that see through it are more than this many times those that see a surface there."""
 _UNCHANGED_SHARE = 0.9
 """Share of the surface that is assumed unchanged."""
 _NORMAL_SIGMAS = 1.645
@@ -165,7 +163,7 @@ def mark_changed(
     # 2. Points through whose place cameras of the other night saw: two of them, unless only one could tell.
     informative = sight.through.astype(int) + sight.agreeing + sight.hidden
     needed = np.minimum(2, np.maximum(informative, 1))
-    free = (sight.through >= needed) & (sight.through > _THROUGH_RATIO * sight.agreeing) & ~agrees
+    free = (sight.through >= needed) & sight.is_free & ~agrees
     with np.errstate(invalid="ignore"):  # the gap is nan where no camera saw through
         free &= sight.gap > sigmas * noise * sight.gap_sigma
     by_sight = free & ~nearer

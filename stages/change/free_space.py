@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.jit import kernel
-from ..types import Camera, DepthMap, Float32s, Float64s, Uint8s
+from ..types import Bools, Camera, DepthMap, Float32s, Float64s, Uint8s
 
 _SIGMAS = 3.0
 """A depth agrees with a point within this many standard deviations of both, plus `_RELATIVE_TOLERANCE` times the depth.  With
@@ -21,6 +21,8 @@ _RELATIVE_TOLERANCE = 0.002
 """Part of the tolerance that grows with the depth, no unit: for errors of poses, which the standard deviations do not contain."""
 _CLEAR_FACTOR = 2.0
 """A camera sees through a point if its depth lies behind it by more than this many times the tolerance for agreement."""
+_THROUGH_RATIO = 2.0
+"""A place is free if the cameras that see through it are more than this many times those that see a surface there."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,11 @@ class Sight:
     """Depth of the surface behind minus that of the point, smallest over the cameras that saw through; nan if none did."""
     gap_sigma: Float32s
     """Standard deviation of `gap`."""
+
+    @property
+    def is_free(self) -> Bools:
+        """(n,) points where nothing stands: far more cameras saw through than saw a surface."""
+        return np.asarray(self.through > _THROUGH_RATIO * self.agreeing, dtype=np.bool_)
 
 
 def look_at(

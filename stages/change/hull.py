@@ -29,8 +29,6 @@ _REACH = 1.5
 cannot see such a length behind it.  With more, intervals grow with open space that no camera shows."""
 _TOP_QUANTILE = 0.98
 """Quantile of the seen heights up to which unseen parts may reach: what stood higher would show above what is seen."""
-_THROUGH_RATIO = 2.0
-"""A voxel is free if the cameras that see through it are more than this many times those that see a surface there."""
 _LOW_SHARE = 0.25
 """Space lower than this share of the change's height above the ground does not count: no camera can tell it from the ground."""
 _RESHAPED_SHARE = 0.3
@@ -126,7 +124,7 @@ def carved_by(hull: Hull, night: Epoch, other: Epoch, grid: GroundGrid, known_gr
     centres = ((open_voxels + hull.first + 0.5) * hull.edge) @ hull.axes
     exact = np.zeros(len(centres))
     sight = look_at(centres, exact, night.cameras, night.seeing, night.depth)
-    free = sight.through > _THROUGH_RATIO * sight.agreeing
+    free = sight.is_free
 
     # 3. Or what they show behind it looks as on the other night, when they saw through: whatever the depths, nothing is in front.
     for name in other.seeing:

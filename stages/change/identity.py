@@ -20,8 +20,6 @@ from .clusters import Surface, groups_of_points, surface_of, unchanged_cells
 from .evidence import Epoch, Evidence
 from .free_space import look_at
 
-_THROUGH_RATIO = 2.0
-"""A place is free if the cameras that see through it are more than this many times those that see a surface there."""
 _GONE_SHARE = 0.5
 """A change is gone if at least this share of its points lies where tonight is as the reference."""
 _GONE_RATIO = 3.0
@@ -130,7 +128,7 @@ class _View:
 def _view_of(place: KnownPlace, tonight: Epoch, grid: GroundGrid, changed: Bools, unchanged: Bools) -> _View:
     """What tonight shows of a place; changed, unchanged: (rows, columns) cells of the night on which it stands."""
     sight = look_at(place.points, place.sigma.astype(np.float64), tonight.cameras, tonight.seeing, tonight.depth)
-    is_free = sight.through > _THROUGH_RATIO * sight.agreeing
+    is_free = sight.is_free
     is_surface = ~is_free & (sight.agreeing > 0)
     cells = cells_of(grid, place.points)
     on_changed = (cells >= 0) & changed.ravel()[cells]

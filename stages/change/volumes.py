@@ -17,13 +17,10 @@ import numpy as np
 
 from ..core.ground_grid import cells_inside
 from ..types import Bools, Change, CutFill, Float32s, GroundGrid
-from .clusters import ChangeCluster
+from .clusters import SURE_SIGMAS, ChangeCluster
 from .evidence import Evidence
 from .footprint import UNKNOWN_SHARE_SIGMA
 from .ground_points import seen_cells
-
-_SURE_SIGMAS = 1.96
-"""Standard deviations of errors that all changes share, at either end of an interval: 95 % of normal errors lie within."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +189,6 @@ def _volume(clusters: Sequence[ChangeCluster], inside: Bools, grid: GroundGrid, 
     return _Volume(
         volume=volume,
         sigma=float(np.linalg.norm([np.sqrt(variance), UNKNOWN_SHARE_SIGMA * doubtful, common])),
-        least=max(0.0, least - _SURE_SIGMAS * common),
-        most=most + _SURE_SIGMAS * common,
+        least=max(0.0, least - SURE_SIGMAS * common),
+        most=most + SURE_SIGMAS * common,
     )

@@ -1,7 +1,7 @@
 """What the names in a module stand for, as far as its source says: the values of constants, and the types in annotations.
 
 Nothing is imported.  `inspect` would know more, but has to import a function's module, and with it numba, OpenCV and scipy.  For
-the functions of all stages that costs 1.1 CPU seconds and 250 MB, 4.3 seconds where Python may not keep its bytecode, as in many
+the functions of all stages that costs 1.1 CPU seconds, 4.3 seconds where Python may not keep its bytecode, as in many
 containers; and it runs a site's own modules in order to check a YAML file.  Reading costs 0.1 seconds.
 """
 
