@@ -9,6 +9,7 @@ from .captured import Capture, Lens, Placement, Privacy
 from .dense import INVALID, MOST_PARTNERS, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification, RowMatches
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Changes, Coverage, GroundGrid
 from .health import CameraHealth, ShiftHistory
+from .observations import Observations, ObservedPoses, ThingSurvey
 from .pairs import Geometry, Matches, Overlap, at_rows
 from .places import Hull, KnownPlace
 from .site import LensSigma, Poses, Scene
@@ -51,6 +52,8 @@ __all__ = [
     "Lens",
     "LensSigma",
     "Matches",
+    "Observations",
+    "ObservedPoses",
     "Overlap",
     "Pair",
     "PairCheck",
@@ -67,6 +70,7 @@ __all__ = [
     "Scene",
     "ShiftHistory",
     "Survey",
+    "ThingSurvey",
     "Uint8s",
     "Uint16s",
     "Uint32s",
