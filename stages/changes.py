@@ -57,8 +57,6 @@ _LEAST_SEEN_SHARE = 0.2
 """A camera sees a change if it sees at least this share of the change's points."""
 _CROP_PX = 240
 """Height of the pictures of a change, pixels."""
-_CROP_GAP_PX = 4
-"""Width of the white gap between both nights' pictures, pixels."""
 
 
 def find_changes(
@@ -284,7 +282,8 @@ def _assembled(
     new_blob = np.zeros(len(new.core), np.uint16)
     old_blob = np.zeros(len(old.core), np.uint16)
     changes = {}
-    crops = {}
+    before: dict[str, Uint8s] = {}
+    after: dict[str, Uint8s] = {}
     for change, parts in reported:
         for part in parts:
             if part.cluster is not None:
@@ -299,8 +298,10 @@ def _assembled(
         names = _seeing_cameras(side.night, cluster)
         camera_ids = dict.fromkeys(camera_id(name, side.night.cameras[name]) for name in names)
         changes[change.id] = replace(change, cameras=",".join(camera_ids))
-        if names:
-            crops[change.id] = _crop(cluster.surface.points, names[0], sides)
+        # The camera may be missing on the other night.
+        for pictures, night in ((after, sides[0].night), (before, sides[1].night)):
+            if names and names[0] in night.frames and names[0] in night.cameras:
+                pictures[change.id] = _crop(cluster.surface.points, names[0], night)
     appeared = new_blob > 0
     vanished = old_blob > 0
     shown = vanished | (old.unknown & ~old.changed)
@@ -326,7 +327,8 @@ def _assembled(
         blob=joined(new_blob, old_blob, np.uint16),
         grid=grid,
         difference=difference,
-        crops=crops,
+        before=before,
+        after=after,
         count=len(changes),
         changed_share=n_changed / max(1, n_known),
         unknown_share=float(np.mean(old.unknown)),
@@ -347,30 +349,19 @@ def _seeing_cameras(night: Epoch, cluster: ChangeCluster) -> list[str]:
     return [name for _, name in sorted(candidates)]
 
 
-def _crop(X: Float64s, name: str, sides: tuple[Side, Side]) -> Uint8s:
-    """(h, w, 3) the surroundings of points X in one camera, side by side: the reference's frame, then tonight's."""
-    parts: list[Uint8s] = []
-    gap = np.full((_CROP_PX, _CROP_GAP_PX, 3), 255, np.uint8)
-    for side in reversed(sides):
-        night = side.night
-        if name not in night.frames or name not in night.cameras:
-            continue
-        image = night.frames[name].image
-        x, _ = project(night.cameras[name], X)
-        # The box of most points, with a margin, and at least a pixel of the image.
-        low, high = np.quantile(x, [0.02, 0.98], axis=0)
-        margin = 0.35 * (high - low) + 8
-        size = np.array([image.shape[1], image.shape[0]])
-        left, top = np.clip(low - margin, 0, size - 2).astype(int)
-        right, bottom = np.clip(high + margin, 2, size).astype(int)
-        part = image[top : max(bottom, top + 1), left : max(right, left + 1)]
-        width = int(np.clip(round(part.shape[1] * _CROP_PX / part.shape[0]), 1, 4 * _CROP_PX))
-        if parts:
-            parts.append(gap)
-        parts.append(np.asarray(cv2.resize(part, (width, _CROP_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8))
-    if not parts:
-        return np.zeros((1, 1, 3), np.uint8)
-    return np.hstack(parts)
+def _crop(X: Float64s, name: str, night: Epoch) -> Uint8s:
+    """(h, w, 3) the surroundings of points X in a camera's frame of a night."""
+    image = night.frames[name].image
+    x, _ = project(night.cameras[name], X)
+    # The box of most points, with a margin, and at least a pixel of the image.
+    low, high = np.quantile(x, [0.02, 0.98], axis=0)
+    margin = 0.35 * (high - low) + 8
+    size = np.array([image.shape[1], image.shape[0]])
+    left, top = np.clip(low - margin, 0, size - 2).astype(int)
+    right, bottom = np.clip(high + margin, 2, size).astype(int)
+    part = image[top : max(bottom, top + 1), left : max(right, left + 1)]
+    width = int(np.clip(round(part.shape[1] * _CROP_PX / part.shape[0]), 1, 4 * _CROP_PX))
+    return np.asarray(cv2.resize(part, (width, _CROP_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _surface_heights(grid: GroundGrid, night: GroundPoints) -> Float32s:

@@ -23,6 +23,8 @@ _BACKGROUND = (24, 24, 24)
 """Colour of places of which nothing is known, RGB."""
 _MARGIN_PX = 20
 """Distance of cameras from the edge of a map, pixels."""
+_GAP_PX = 4
+"""Width of the white gap between the pictures of both nights, pixels."""
 _NEAREST_CELL = 0.75
 """A pixel of a GeoTIFF shows a cell whose centre is within this many cell widths: a little more than half a diagonal."""
 _COLOURS = ((196, 60, 50), (232, 150, 50), (240, 215, 90), (150, 205, 95), (60, 170, 90), (25, 120, 110), (20, 80, 120))
@@ -169,8 +171,8 @@ _MOST_CROPS = 6
 
 
 def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
-    """changes.ply (as columns), changes.json, a picture of each change, and changes.tif if the site is georeferenced; nothing
-    if there was no night to compare with."""
+    """changes.ply (as columns), changes.json, pictures of each change (before, after, and side by side), and changes.tif if the
+    site is georeferenced; nothing if there was no night to compare with."""
     if not changes.compared:
         return
     columns: Columns = {
@@ -188,11 +190,38 @@ def changes_files(changes: Changes) -> Iterator[tuple[str, bytes | Columns]]:
     }
     yield "changes.ply", columns
     yield "changes.json", (json.dumps(changes_data(changes), indent=1) + "\n").encode()
-    for name, image in changes.crops.items():
-        yield f"change-{name}.jpg", jpeg(image, _QUALITY).tobytes()
+    for name in changes.changes:
+        for role, image in _pictures_of(changes, name).items():
+            yield _picture_file(name, role), jpeg(image, _QUALITY).tobytes()
     if changes.crs:
         layers = {"tonight's height less that of the reference, metres": changes.difference}
         yield "changes.tif", _map_geotiff(changes.grid, changes.difference, layers, changes.crs)
+
+
+def _pictures_of(changes: Changes, name: str) -> dict[str, Uint8s]:
+    """The pictures (h, w, 3) of a change: "before" and "after" as far as these nights show it, and "picture", side by side."""
+    pictures = {}
+    if name in changes.before:
+        pictures["before"] = changes.before[name]
+    if name in changes.after:
+        pictures["after"] = changes.after[name]
+    if pictures:
+        pictures["picture"] = _side_by_side(list(pictures.values()))
+    return pictures
+
+
+def _picture_file(name: str, role: str) -> str:
+    """The name of the file of a picture of a change; name: its id; role: as in `_pictures_of`."""
+    return f"change-{name}.jpg" if role == "picture" else f"change-{name}-{role}.jpg"
+
+
+def _side_by_side(images: list[Uint8s]) -> Uint8s:
+    """One picture of images (h, w, 3) of the same height, with a white gap between them."""
+    gap = np.full((images[0].shape[0], _GAP_PX, 3), 255, np.uint8)
+    parts = [images[0]]
+    for image in images[1:]:
+        parts += [gap, image]
+    return np.hstack(parts)
 
 
 def changes_data(changes: Changes) -> dict[str, Any]:
@@ -206,12 +235,12 @@ def changes_data(changes: Changes) -> dict[str, Any]:
     if changes.cut_fill:
         data["cut_fill"] = _volumes(changes.cut_fill)
     data["zones"] = {name: _volumes(zone) for name, zone in changes.zones.items()}
-    data["changes"] = [_change_entry(name, change, name in changes.crops) for name, change in changes.changes.items()]
+    data["changes"] = [_change_entry(name, change, list(_pictures_of(changes, name))) for name, change in changes.changes.items()]
     return data
 
 
-def _change_entry(name: str, change: Change, has_picture: bool) -> dict[str, Any]:
-    """One change of changes.json; entries that do not apply to it are left out."""
+def _change_entry(name: str, change: Change, pictures: list[str]) -> dict[str, Any]:
+    """One change of changes.json; entries that do not apply to it are left out.  pictures: what there is of `_pictures_of`."""
     entry: dict[str, Any] = {
         "id": name,
         "kind": change.kind,
@@ -236,8 +265,8 @@ def _change_entry(name: str, change: Change, has_picture: bool) -> dict[str, Any
         entry["zone"] = change.zone
     if change.kind == "moved":
         entry["from"] = [round(change.from_x, 3), round(change.from_y, 3), round(change.from_z, 3)]
-    if has_picture:
-        entry["picture"] = f"change-{name}.jpg"
+    for role in pictures:
+        entry[role] = _picture_file(name, role)
     return entry
 
 
@@ -263,8 +292,10 @@ def changes_preview(changes: Changes) -> Uint8s:
 
     # 2. images of the first changes below, padded to one width
     panels = [image]
-    for name, crop in list(changes.crops.items())[:_MOST_CROPS]:
-        panels.append(_with_label(crop, name))
+    for name in changes.changes:
+        both_nights = _pictures_of(changes, name).get("picture")
+        if both_nights is not None and len(panels) <= _MOST_CROPS:
+            panels.append(_with_label(both_nights, name))
     width = max(panel.shape[1] for panel in panels)
     padded = []
     for panel in panels:

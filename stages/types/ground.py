@@ -98,8 +98,10 @@ class Changes(Record):
     grid: GroundGrid
     difference: Float32s
     """(rows, columns) height of tonight's surface minus the reference's; nan where one is unknown."""
-    crops: Mapping[str, Uint8s] = field(default_factory=dict)
-    """By id of the change: (h, w, 3) the reference's and tonight's picture side by side, by the camera that sees it best."""
+    before: Mapping[str, Uint8s] = field(default_factory=dict)
+    """By id of the change: (h, w, 3) its surroundings on the reference's night, by the camera that sees it best."""
+    after: Mapping[str, Uint8s] = field(default_factory=dict)
+    """The same tonight, by the same camera; of the same height."""
     count: int = 0
     """Number of changes."""
     changed_share: float = 0.0

@@ -268,7 +268,8 @@ def find_changes(
         blob=np.zeros(0, np.uint16),
         grid=GroundGrid(np.eye(3), 0.0, 0.0, 1.0, 0, 0),
         difference=np.zeros((0, 0), np.float32),
-        crops={name: np.full((8, 16, 3), 99, np.uint8) for name in changes},
+        before={name: np.full((8, 16, 3), 99, np.uint8) for name in changes},
+        after={name: np.full((8, 16, 3), 199, np.uint8) for name in changes},
         count=len(changes),
         highest_id=number,
     )

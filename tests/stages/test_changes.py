@@ -15,7 +15,7 @@ import pytest
 from tests.helpers.changed_yard import CRATE, Box, BoxNight, box_night
 from wbflow_stages.changes import find_changes
 from wbflow_stages.exports.ground import changes_files, changes_preview
-from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes, DepthMap
+from wbflow_stages.types import NEW, UNKNOWN, VANISHED, Change, Changes, DepthMap, Float64s
 
 NEW_BOX: Box = ((2.2, -2.4, 0.0), (3.6, -1.2, 0.9))
 
@@ -208,18 +208,29 @@ def test_a_night_solved_in_another_frame_is_not_compared() -> None:
     assert not found.compared
 
 
+def picture(content: bytes) -> Float64s:
+    """(h, w, 3) the values of a JPEG file."""
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), 1)
+    assert image is not None
+    return image.astype(np.float64)
+
+
 def test_changes_are_written_as_cloud_json_and_pictures() -> None:
     found = compared(night(CRATE, NEW_BOX, seed=1), night(CRATE))
     files: dict[str, Any] = dict(changes_files(found))
-    assert list(files) == ["changes.ply", "changes.json", "change-C1.jpg"]
+    assert list(files) == ["changes.ply", "changes.json", "change-C1-before.jpg", "change-C1-after.jpg", "change-C1.jpg"]
     reported = json.loads(files["changes.json"])
     (row,) = reported["changes"]
     assert (row["id"], row["kind"], row["picture"]) == ("C1", "new", "change-C1.jpg")
     assert np.linalg.norm(np.subtract(row["position"], (2.9, -1.8, 0.45))) < 0.15
     columns = files["changes.ply"]
     assert {len(column) for column in columns.values()} == {len(found.points)}
-    crop = cv2.imdecode(np.frombuffer(files["change-C1.jpg"], np.uint8), 1)
-    assert crop is not None
-    half = crop.shape[1] // 2 - 8
-    assert np.abs(crop[:, :half].astype(float) - crop[:, -half:]).mean() > 5  # the two nights differ
+    assert (row["before"], row["after"]) == ("change-C1-before.jpg", "change-C1-after.jpg")
+    before = picture(files["change-C1-before.jpg"])
+    after = picture(files["change-C1-after.jpg"])
+    difference = np.abs(before - after).mean()
+    assert difference > 5, "the two nights differ"
+    both = picture(files["change-C1.jpg"])
+    assert np.abs(both[:, : before.shape[1]] - before).mean() < 0.5 * difference, "the earlier night is on the left"
+    assert np.abs(both[:, -after.shape[1] :] - after).mean() < 0.5 * difference
     assert cv2.imdecode(changes_preview(found), 1) is not None

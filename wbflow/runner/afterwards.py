@@ -16,7 +16,7 @@ from ..reference.create import fit_to_pin, pin
 from ..site.models import Site
 from ..words import format_size
 from .journal import Journal
-from .notify import NotifyFailed, notify, notify_changes
+from .notify import NotifyFailed, notify
 
 DrawSite = Callable[[Site, Journal], None]
 """Writes the page about all nights of a site; a fault becomes a warning."""
@@ -39,11 +39,10 @@ def follow_up(run: Run, site: Site, journal: Journal, draw: DrawSite, *, send: b
         draw(site, journal)
     is_news = RunFolder.of(run.cache.work).id == run.id
     if send and is_news and site.settings.notify:
-        for send_message in (notify, notify_changes):
-            try:
-                send_message(site.settings.notify, site.folder, run)
-            except (NotifyFailed, OSError) as error:
-                journal.warn(str(error), remedy="the command is called again after the next run")
+        try:
+            notify(site.settings.notify, site.folder, run)
+        except (NotifyFailed, OSError) as error:
+            journal.warn(str(error), remedy="the command is called again after the next run")
     with contextlib.suppress(OSError):  # a full disk: there is a warning already
         for event in journal.events[event_count:]:
             run.run_folder.add(event)

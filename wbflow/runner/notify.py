@@ -1,9 +1,10 @@
 """Notification by a command of the site file, when the state of the site has changed.
 
 The command is called once for each state of degraded and failed nights (the level, and kinds and subjects of the findings),
-again when a state has lasted for a duration of `remind`, and once for the first good night after them; with `heartbeat`, also
-after every other night.  Whatever the verdict, it is also called once for changes that are new or have grown.  A command that
-fails or hangs does not affect the night, and is called again after the next run.
+again when a state has lasted for a duration of `remind`, and once for the first good night after them; for changes that are new
+or have grown; with `heartbeat`, also after every other night.  A night sends one message: where its state is to be told and there
+are changes, the event is that of the state, and the changes are in it.  A command that fails or hangs does not affect the night,
+and is called again after the next run.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ..errors import WbflowError
 from ..json_dataclass import JsonDataclass
 from ..pipeline.summaries import RecordedChange
 from ..records.changes import open_changes
-from ..records.findings import Verdict
+from ..records.findings import UNEXPECTED_CHANGE, Verdict
 from ..records.finished_run import Run
 from ..records.record import RunRecord, moment
 from ..site.models import Notify, NotifyChanges
@@ -34,6 +35,9 @@ Occasion = Literal["degraded", "failed", "reminder", "recovered", "heartbeat", "
 
 MOST_WORDS = 300
 """Longest summary, in characters."""
+
+_PICTURES = {"before": "-before", "after": "-after", "picture": ""}
+"""The pictures of a change, and how the names of their files end: of each night alone, and of both side by side."""
 
 _FILE_KIND = "notified"
 """Kind of the checksummed file with the last reported state."""
@@ -64,55 +68,49 @@ _ACKNOWLEDGED = "acknowledged"
 
 
 def notify(config: Notify, folder: Path, run: Run) -> Occasion | None:
-    """Call the command for a published run; returns the occasion, or None if there is none.
+    """Call the command for a published run, at most once; returns the occasion, or None if there is none.
 
-    folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the command's output.
+    folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the command's output; all that
+    there was to tell is then told after the next run.
     """
     work = run.cache.work
     record = run.record
     assert record.verdict
     last = _last_reported(work)
     now = record.finished
+
+    # 1. What there is to tell: the state, if it has changed or lasts, and changes that are news.
     state = _next_reported(last, _state_of(record.verdict), now, config)
-    occasion = _occasion(last, state, record.verdict, config)
+    news = _news(config, last, record)
+    occasion = _occasion(last, state, news, record.verdict, config)
+
+    # 2. All of it in one message.
     if occasion:
         duration = ""
         if occasion in {"recovered", "reminder"}:
             duration = format_duration(_seconds(state.bad_since, now))
         recovered = last.state[1:] if occasion == "recovered" else ()
-        message = _message(occasion, summary(record, duration, recovered), run.run_folder.paths, record)
-        message["lasted"] = duration
-        message["recovered"] = list(recovered)
-        _call(config, folder, message)
-    # only after the call: if it fails, the next run calls again
+        _call(config, folder, _message(occasion, run.run_folder.paths, record, duration, recovered, news))
+
+    # 3. Remembered only after the call: if it fails, the next run calls again.
+    if config.changes and record.compared:
+        # those that are gone are forgotten
+        told = {name: night for name, night in last.changes.items() if name in record.changes}
+        state = replace(state, changes=told | {change.id: change.news for change in news})
     if state != last:
         write_checksummed(work.notified, _FILE_KIND, state.to_json())
     return occasion
 
 
-def notify_changes(config: Notify, folder: Path, run: Run) -> list[str]:
-    """Call the command for the changes of a published run that are new, or have grown, and that nobody has acknowledged.
-
-    Returns their ids.  folder: the site file's, in which the command runs.  Raises NotifyFailed, with the last line of the
-    command's output; the changes are then reported after the next run.
-    """
-    work = run.cache.work
-    record = run.record
+def _news(config: Notify, last: _Reported, record: RunRecord) -> list[RecordedChange]:
+    """The changes that are new, or have grown, since they were last reported, and that nobody has acknowledged."""
     if not config.changes or not record.compared:
         return []
-    last = _last_reported(work)
     news = []
     for change in open_changes(record):
         if _is_wanted(change, config.changes) and last.changes.get(change.id, "") < change.news:
             news.append(change)
-    if news:
-        _call(config, folder, _message_of_changes(news, run.run_folder.paths, record))
-    # only after the call; those that are gone are forgotten
-    reported = {name: night for name, night in last.changes.items() if name in record.changes}
-    reported |= {change.id: change.news for change in news}
-    if reported != last.changes:
-        write_checksummed(work.notified, _FILE_KIND, replace(last, changes=reported).to_json())
-    return [change.id for change in news]
+    return news
 
 
 def _is_wanted(change: RecordedChange, wanted: NotifyChanges) -> bool:
@@ -158,8 +156,13 @@ def _next_reported(last: _Reported, state: tuple[str, ...], now: str, config: No
     return _Reported(state, since, bad_since, max(due, last.reminders), last.changes)
 
 
-def _occasion(last: _Reported, state: _Reported, verdict: Verdict, config: Notify) -> Occasion | None:
-    """What the command is called for, after a night that changed the state from `last` to `state`; None: for nothing."""
+def _occasion(
+    last: _Reported, state: _Reported, news: Sequence[RecordedChange], verdict: Verdict, config: Notify
+) -> Occasion | None:
+    """What the command is called for, after a night that changed the state from `last` to `state`; None: for nothing.
+
+    The message of a degraded or failed night, of a recovery and of a reminder has the news of changes in it.
+    """
     if state.state != last.state and not verdict.good:
         return "failed" if verdict.level == "failed" else "degraded"
     # a good night after one whose findings were all acknowledged is a recovery only if a bad night came before
@@ -168,6 +171,8 @@ def _occasion(last: _Reported, state: _Reported, verdict: Verdict, config: Notif
         return "recovered"
     if state.reminders > last.reminders:
         return "reminder"
+    if news:
+        return "changed"
     if config.heartbeat:
         return "heartbeat"
     return None
@@ -177,10 +182,19 @@ def _seconds(begin: str, end: str) -> float:
     return (moment(end) - moment(begin)).total_seconds()
 
 
-def summary(record: RunRecord, duration: str = "", recovered: Sequence[str] = ()) -> str:
+def summary(record: RunRecord, duration: str = "", recovered: Sequence[str] = (), news: Sequence[RecordedChange] = ()) -> str:
     """A run in one line, for the subject of a message.
 
-    duration: how long the site has been, or was, degraded or failed.  recovered: kinds and subjects of findings that are no more.
+    Parameters
+    ----------
+    record : RunRecord
+        The run.
+    duration : str
+        How long the site has been, or was, degraded or failed; "" for nothing about it.
+    recovered : sequence of str
+        Kinds and subjects of findings that are no more.
+    news : sequence of RecordedChange
+        Changes that are new or have grown.
     """
     verdict = record.verdict or Verdict("good")
     line = f"{record.site} {record.date}: {verdict.level}"
@@ -188,39 +202,43 @@ def summary(record: RunRecord, duration: str = "", recovered: Sequence[str] = ()
         line += f", back after {duration}" if verdict.good else f", for {duration}"
     if recovered:
         line += f"; no more {', '.join(recovered)}"
-    if verdict.findings:
-        line += f": {verdict.findings[0]}"
-    if len(verdict.findings) > 1:
-        line += f" (and {len(verdict.findings) - 1} more)"
+    # where no change is expected, each is a finding, too
+    told = {change.id for change in news}
+    findings = [finding for finding in verdict.findings if finding.kind != UNEXPECTED_CHANGE or not told & {*finding.subject}]
+    if findings:
+        line += f": {findings[0]}"
+    if len(findings) > 1:
+        line += f" (and {len(findings) - 1} more)"
+    if news:
+        texts = []
+        for change in news:
+            texts.append(f"{change.id} {change.words(record.unit, record.date)}, {change.volume_words(record.unit)}")
+        line += f"; {counted(len(news), 'change')}: {'; '.join(texts)}"
     return _on_a_line(line)
 
 
-def _message_of_changes(news: Sequence[RecordedChange], run: RunPaths, record: RunRecord) -> dict[str, Any]:
-    """The message about changes: text, size, place, volume and pictures of each."""
-    texts = []
-    entries = []
-    for change in news:
-        text = change.words(record.unit, record.date)
-        texts.append(f"{change.id} {text}, {change.volume_words(record.unit)}")
-        entries.append({**change.to_json(), "text": text, "pictures": _pictures_of(change, run, record)})
-    line = _on_a_line(f"{record.site} {record.date}: {counted(len(news), 'change')}: {'; '.join(texts)}")
-    message = _message("changed", line, run, record)
-    message["changes"] = entries
-    message["open"] = len(open_changes(record))
-    message["picture"] = next((picture for entry in entries for picture in entry["pictures"]), "")
-    return message
+def _message(
+    occasion: Occasion,
+    run: RunPaths,
+    record: RunRecord,
+    duration: str,
+    recovered: Sequence[str],
+    news: Sequence[RecordedChange],
+) -> dict[str, Any]:
+    """What the command reads from its input, as JSON.
 
-
-def _pictures_of(change: RecordedChange, run: RunPaths, record: RunRecord) -> list[str]:
-    """The paths of the published pictures of a change."""
-    files = record.compared.files if record.compared else ()
-    return [str(run.folder / name) for name in files if PurePath(name).stem.split("-")[:2] == ["change", change.id]]
-
-
-def _message(occasion: Occasion, line: str, run: RunPaths, record: RunRecord) -> dict[str, Any]:
-    """What the command reads from its input, as JSON.  line: its summary."""
+    Parameters
+    ----------
+    occasion : Occasion
+        What it is called for.
+    run, record : RunPaths, RunRecord
+        The run's files, and its record.
+    duration, recovered, news : str, sequence of str, sequence of RecordedChange
+        As for `summary`.
+    """
     message: dict[str, Any] = {"event": occasion, "site": record.site, "date": record.date, "run": record.run}
-    message |= {"summary": line, "lasted": ""}
+    message["summary"] = summary(record, duration, recovered, news)
+    message |= {"lasted": duration, "recovered": list(recovered)}
     if record.verdict:
         message |= record.verdict.to_json()
     message["exit_code"] = int(record.exit_code)
@@ -228,7 +246,27 @@ def _message(occasion: Occasion, line: str, run: RunPaths, record: RunRecord) ->
     message["report"] = str(run.report)
     message["record"] = str(run.record)
     message["cloud"] = str(run.folder / record.cloud.path) if record.cloud else None
+
+    # the changes, with their pictures; those of the first one also by themselves, for commands that read the environment
+    entries = []
+    for change in news:
+        text = change.words(record.unit, record.date)
+        entries.append({**change.to_json(), "text": text, **_pictures_of(change, run, record)})
+    message["changes"] = entries
+    message["open"] = len(open_changes(record))
+    for role in _PICTURES:
+        message[role] = entries[0][role] if entries else ""
     return message
+
+
+def _pictures_of(change: RecordedChange, run: RunPaths, record: RunRecord) -> dict[str, str]:
+    """The paths of the published pictures of a change, as `_PICTURES`; "" for those that there are not."""
+    files = record.compared.files if record.compared else ()
+    paths = {}
+    for role, ending in _PICTURES.items():
+        found = [name for name in files if PurePath(name).stem == f"change-{change.id}{ending}"]
+        paths[role] = str(run.folder / found[0]) if found else ""
+    return paths
 
 
 def _call(config: Notify, folder: Path, message: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ NIGHTS = {
 LISTENER = """\
 import json, os, sys
 with open("told.jsonl", "a") as file:
-    file.write(json.dumps({**json.load(sys.stdin), "env": os.environ.get("WBFLOW_PICTURE")}) + "\\n")
+    file.write(json.dumps({**json.load(sys.stdin), "env": dict(os.environ)}) + "\\n")
 """
 
 
@@ -100,15 +100,16 @@ def test_a_message_has_size_place_volume_and_picture_of_each_change(site: ToySit
         run(site, date)
     message = told(site)[-1]
     assert message["summary"] == (
-        "toy 2026-11-17: 2 changes: C2 new 2.0 x 1.4 x 2.6 m at 3.0, 15.3, 4.0 to 6.0 m³; "
+        "toy 2026-11-17: good; 2 changes: C2 new 2.0 x 1.4 x 2.6 m at 3.0, 15.3, 4.0 to 6.0 m³; "
         "C3 new 2.0 x 1.4 x 2.6 m at 3.0, 15.3, 8.0 to 10.0 m³"
     )
     assert (message["level"], message["exit_code"], message["open"]) == ("good", 0, 3)
     van = message["changes"][0]
     assert (van["volume_least"], van["volume_most"], van["zone"], van["first"]) == (4.0, 6.0, "van", "2026-11-17")
-    (picture,) = van["pictures"]
-    assert Path(picture).is_file()
-    assert message["env"] == picture
+    for role, name in {"before": "change-C2-before.jpg", "after": "change-C2-after.jpg", "picture": "change-C2.jpg"}.items():
+        assert Path(van[role]).name == name
+        assert Path(van[role]).is_file()
+        assert message["env"][f"WBFLOW_{role.upper()}"] == message[role] == van[role], "those of the first change"
 
 
 @pytest.mark.parametrize(
@@ -162,6 +163,45 @@ def test_a_change_where_none_is_expected_degrades_the_night_until_it_is_acknowle
     assert "look at its pictures in the report; if it may stay: wbflow acknowledge" in done.output
     wbflow(site, "acknowledge", "C1")
     assert run(site, "2026-11-16").exit_code == 0
+
+
+def test_an_unexpected_change_sends_one_message(site: ToySite) -> None:
+    site.keys["expect"] = {"changes": "none"}
+    site.write()
+    for date in ("2026-11-15", "2026-11-16", "2026-11-16", "2026-11-17", "2026-11-18"):
+        run(site, date)
+    messages = told(site)
+    news = [(message["event"], [change["id"] for change in message["changes"]]) for message in messages]
+    assert news == [("degraded", ["C1"]), ("degraded", ["C2", "C3"]), ("degraded", ["C3"])]
+    assert messages[0]["summary"] == (
+        "toy 2026-11-16: degraded; 1 change: C1 vanished 2.0 x 1.4 x 2.6 m at 5.0, 15.3, 2.0 to 4.0 m³"
+    )
+    assert [finding["kind"] for finding in messages[0]["findings"]] == ["unexpected-change"]
+
+
+def test_a_recovered_night_tells_its_changes_in_the_same_message(site: ToySite) -> None:
+    run(site, "2026-11-15")
+    site.capture("roof", "2026-11-16").write_text("obscured: roof")
+    run(site, "2026-11-16")
+    told(site)
+    run(site, "2026-11-17")
+    (message,) = told(site)
+    assert message["event"] == "recovered"
+    assert {"C2", "C3"} <= {change["id"] for change in message["changes"]}
+    assert "camera-obscured roof" in message["recovered"]
+    assert message["summary"].startswith("toy 2026-11-17: good; no more camera-obscured roof, no-cloud; 3 changes: C1 vanished ")
+
+
+def test_a_message_without_changes_has_no_pictures(site: ToySite) -> None:
+    site.keys["notify"] = {"command": [sys.executable, "listen.py"], "heartbeat": True}
+    site.write()
+    for date in ("2026-11-15", "2026-11-16"):
+        run(site, date)
+    heartbeat, changed = told(site)
+    assert (heartbeat["event"], heartbeat["changes"], heartbeat["before"], heartbeat["env"]["WBFLOW_AFTER"]) == (
+        "heartbeat", [], "", ""
+    )  # fmt: skip
+    assert changed["event"] == "changed", "a change is told instead of a heartbeat"
 
 
 def test_a_night_after_a_bad_one_says_what_is_no_more(site: ToySite) -> None:
