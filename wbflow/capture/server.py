@@ -383,7 +383,7 @@ def _cause(error: Exception, url: str, patience: float) -> str:
         return "redirects again and again"
     if isinstance(error, requests.exceptions.InvalidURL | requests.exceptions.InvalidSchema):
         return "has an address that is not valid"
-    reason = _innermost(error)
+    reason = innermost(error)
     if isinstance(reason, http.client.RemoteDisconnected):
         return "ends the connection without an answer"
     if isinstance(reason, http.client.HTTPException | urllib3.exceptions.InvalidHeader):
@@ -391,11 +391,11 @@ def _cause(error: Exception, url: str, patience: float) -> str:
     return f"cannot be reached: {getattr(reason, 'strerror', None) or type(reason).__name__}"
 
 
-def _innermost(error: BaseException) -> BaseException:
+def innermost(error: BaseException) -> BaseException:
     """The error that others were raised for."""
     for inner in (getattr(error, "reason", None), error.__cause__, error.__context__, *error.args):
         if isinstance(inner, BaseException):
-            return _innermost(inner)
+            return innermost(inner)
     return error
 
 

@@ -63,10 +63,10 @@ def main() -> None:
     """
 
 
-for _name in ("run", "status", "results", "setup"):
+for _module in ("run", "status", "results", "setup", "models"):
     # by name: the command line knows where its commands are, not what they need
-    for _command in vars(import_module(f"{__package__}.{_name}")).values():
-        if isinstance(_command, click.Command):
+    for _name, _command in vars(import_module(f"{__package__}.{_module}")).items():
+        if isinstance(_command, click.Command) and not _name.startswith("_"):  # private: a command of a group
             main.add_command(_command)
 
 

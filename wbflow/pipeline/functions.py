@@ -39,6 +39,14 @@ class FunctionReader(Memo):
 
         table: dotted name of the table from which the function chooses its method; its contents do not enter the fingerprint.
         """
+        return self._code(dotted, table).fingerprint
+
+    def libraries(self, dotted: str) -> tuple[str, ...]:
+        """Return the import names of all libraries that "package.module:function" imports.  Raises FunctionError."""
+        return self._code(dotted).libraries
+
+    def _code(self, dotted: str, table: str = "") -> Code:
+        """All code of a function but the table, as `code` takes it; without the files."""
         table_module, _, own_table = table.partition(":")
         excluded = own_table if table_module == dotted.partition(":")[0] else ""
 
@@ -47,7 +55,7 @@ class FunctionReader(Memo):
             return {"digest": code.digest, "libraries": code.libraries}, code.files
 
         entry = self._from_memo(f"code {excluded}", dotted, read)
-        return Code(entry["digest"], tuple(entry["libraries"]), ()).fingerprint
+        return Code(entry["digest"], tuple(entry["libraries"]), ())
 
     def signature(self, dotted: str) -> Signature:
         """Return the signature of "package.module:function".  Raises FunctionError if something is missing."""

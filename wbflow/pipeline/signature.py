@@ -111,6 +111,9 @@ class Functions(Protocol):
     def code(self, dotted: str, table: str = "") -> str:
         """The fingerprint of all code that a function runs."""
 
+    def libraries(self, dotted: str) -> tuple[str, ...]:
+        """The import names of all libraries that a function's code imports."""
+
     def signature(self, dotted: str) -> Signature:
         """The signature of a function."""
 

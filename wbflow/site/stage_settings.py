@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import sys
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from ..pipeline.binding import Binding, Bindings, method_parameters, methods_wit
 from ..pipeline.stages import COMPONENT, FUSE, STAGES, Stage
 from ..words import printable
 from .models import StageSettings
+from .published_models import FOLDER_VARIABLE, PUBLISHED_MODELS
 from .yaml_document import Problems, resolve_path, similar, suggest
 
 
@@ -109,6 +111,7 @@ class _Section:
         # 2. its signature, and what the section gives it
         for fault in binding.faults():
             self._add_problem(self.selector, fault, _SIGNATURE)
+        self._check_packages(binding)
         # files are taken out first: they are inputs, no parameters
         files = self._files(binding)
         elsewhere = self._set_elsewhere()
@@ -129,6 +132,16 @@ class _Section:
             if parameter.required and name not in self.values and name not in elsewhere:
                 self._add_problem("use", f"{binding.function.dotted} has {name!r} without a default", f"set it here: {name}: ...")
         return StageSettings(self.use, self.values, files=files)
+
+    def _check_packages(self, binding: Binding) -> None:
+        """Report a package that the chosen method imports, and that only an extra of wbflow installs."""
+        if binding.method is None:
+            return
+        libraries = self.bindings.reader.libraries(binding.method.dotted)
+        for module, (package, extra) in _EXTRAS.items():
+            if module in libraries and importlib.util.find_spec(module) is None:
+                what = f"{printable(self.values.get(self.selector))} needs {package}, which is not installed"
+                self._add_problem(self.selector, what, f"python -m pip install 'wbflow[{extra}]'")
 
     def _update_renamed(self) -> dict[str, str]:
         """Give parameters of earlier versions their present names and values; returns the old name by present name."""
@@ -185,12 +198,33 @@ class _Section:
                     self._add_problem(self.selector, f"{function.dotted} needs a file: {name}", _FILE.format(name=name))
             elif not isinstance(stated, str):
                 self._add_problem(name, f"{printable(repr(stated), 80)} is not a path", _FILE.format(name=name))
+            elif stated in PUBLISHED_MODELS:
+                paths[name] = self._published(name, stated)
             else:
-                paths[name] = resolve_path(stated, ("stages", self.stage.name, name), self.problems)
-                if not is_file(paths[name]):
-                    remedy = similar(paths[name]) or "check the path; it is relative to the site file"
-                    self._add_problem(name, f"there is no file {printable(paths[name])}", remedy)
+                paths[name] = self._own_file(name, stated)
         return paths
+
+    def _published(self, key: str, name: str) -> Path:
+        """The file of a published model, which has to be there, whole, and of this stage."""
+        model = PUBLISHED_MODELS[name]
+        if model.stage != self.stage.name:
+            others = [other.name for other in PUBLISHED_MODELS.values() if other.stage == self.stage.name]
+            remedy = f"for {self.stage.name} there are {', '.join(others)}" if others else _FILE.format(name=key)
+            self._add_problem(key, f"{name} is a model for the stage {model.stage}", remedy)
+            return model.path
+        fault = model.fault()
+        if fault:
+            remedy = f"{model.command}  (as the user that runs wbflow; {FOLDER_VARIABLE} names another folder)"
+            self._add_problem(key, fault, remedy)
+        return model.path
+
+    def _own_file(self, key: str, stated: str) -> Path:
+        """The file at a path that the section gives."""
+        path = resolve_path(stated, ("stages", self.stage.name, key), self.problems)
+        if not is_file(path):
+            remedy = similar(path) or suggest(stated, PUBLISHED_MODELS, "check the path; it is relative to the site file")
+            self._add_problem(key, f"there is no file {printable(path)}", remedy)
+        return path
 
     def _set_elsewhere(self) -> dict[str, str]:
         """The parameters that the section cannot set, each with what to do instead."""
@@ -219,6 +253,8 @@ class _Section:
         self.problems.add(("stages", self.stage.name, name), what, remedy, key=key)
 
 
+_EXTRAS = {"onnxruntime": ("ONNX Runtime", "onnx")}
+"""Modules that only an extra installs: the name of the package, and the extra."""
 _USE = "write package.module:function; the module is installed, or lies beside the site file"
-_FILE = "give its path, relative to the site file: {name}: models/matcher.onnx"
+_FILE = "give its path, relative to the site file: {name}: models/matcher.onnx; or a name that  wbflow models  lists"
 _SIGNATURE = "name the inputs as they are offered, and put parameters with defaults behind a bare *"

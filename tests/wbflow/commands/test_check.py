@@ -129,3 +129,15 @@ def test_captures_hours_apart_are_found(folder: Path) -> None:
     picture(folder / "captures" / "roof" / "2026-11-19_233000.png")
     code, output = checked(folder, site=SITE.replace("/**/*", "/{date}_{time}"))
     assert code == 0 and "its captures of the night are 23 h apart, at 00:10 and 23:30" in output
+
+
+def test_a_model_that_is_not_on_this_machine_is_found_by_check_and_run_before_any_work(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WBFLOW_MODELS", str(folder / "models"))
+    code, output = checked(folder, more="stages: {features: {detector: onnx, model: aliked-n32}}\n")
+    assert code == 2
+    assert "site.yaml:6:43: stages.features.model: aliked-n32 is not in" in output and "wbflow models get aliked-n32" in output
+    result = CliRunner().invoke(main, ["run", str(folder), "-q"])
+    assert result.exit_code == 2 and "wbflow models get aliked-n32" in result.output
+    assert not (folder / ".wbflow").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from wbflow.pipeline.stages import STAGES
 from wbflow.site.load import load_site
 from wbflow.site.models import Site
+from wbflow.site.published_models import PUBLISHED_MODELS, PublishedModel
 from wbflow.site.stage_settings import RENAMED, Renamed
 from wbflow.site.yaml_document import SiteError
 
@@ -134,3 +137,55 @@ def test_a_misspelt_model_file_is_an_error_that_suggests_the_right_name(tmp_path
 def test_a_model_of_another_matcher_is_an_error_that_names_that_matcher(tmp_path: Path) -> None:
     reported = problem(tmp_path, "matches: {model: glue.onnx}")
     assert "'model' is not read by the chosen matcher" in reported and "choose matcher: onnx" in reported
+
+
+def place_model(folder: Path, monkeypatch: pytest.MonkeyPatch, content: bytes = b"weights") -> Path:
+    """A published model `tiny` for the stage features, whose file has this content on this machine."""
+    published = PublishedModel("tiny", "features", "tests", "MIT", 7, hashlib.sha256(b"weights").hexdigest())
+    monkeypatch.setitem(PUBLISHED_MODELS, "tiny", published)
+    monkeypatch.setenv("WBFLOW_MODELS", str(folder / "models"))
+    published.path.parent.mkdir(exist_ok=True)
+    published.path.write_bytes(content)
+    return published.path
+
+
+def test_a_published_model_is_named_without_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = place_model(tmp_path, monkeypatch)
+    settings = loaded(tmp_path, "features: {detector: onnx, model: tiny}").stages["features"]
+    assert settings.files == {"model": path} and settings.parameters == {"detector": "onnx"}
+    (tmp_path / "tiny").write_bytes(b"another")
+    assert loaded(tmp_path, "features: {detector: onnx, model: ./tiny}").stages["features"].files == {"model": tmp_path / "tiny"}
+
+
+def test_a_published_model_that_is_missing_or_not_whole_is_an_error_with_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = place_model(tmp_path, monkeypatch, b"weigh")
+    section = "features: {detector: sift+onnx, model: tiny}"
+    cut_off = problem(tmp_path, section)
+    assert "site.yaml:6:49: stages.features.model: " in cut_off
+    assert f"{path} is not the published file, or not all of it (5 bytes" in cut_off and "wbflow models get tiny" in cut_off
+    path.unlink()
+    missing = problem(tmp_path, section)
+    assert f"tiny is not in {path.parent}" in missing and "wbflow models get tiny  (as the user that runs wbflow" in missing
+
+
+def test_a_published_model_of_another_stage_or_a_misspelt_one_is_an_error_that_names_the_right_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place_model(tmp_path, monkeypatch)
+    reported = problem(tmp_path, "matches: {matcher: onnx, model: tiny}")
+    assert "tiny is a model for the stage features" in reported
+    assert "for matches there are aliked-lightglue, sift-lightglue" in reported
+    assert "did you mean 'aliked-n32'?" in problem(tmp_path, "features: {detector: onnx, model: alikedn32}")
+
+
+def test_a_method_whose_package_is_not_installed_is_an_error_with_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.onnx").write_bytes(b"weights")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    reported = problem(tmp_path, "features: {detector: onnx, model: mine.onnx}")
+    assert "site.yaml:6:31: stages.features.detector: onnx needs ONNX Runtime, which is not installed" in reported
+    assert "python -m pip install 'wbflow[onnx]'" in reported
+    loaded(tmp_path, "features: {detector: sift}")
