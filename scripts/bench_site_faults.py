@@ -1150,6 +1150,26 @@ def row(result: Result) -> dict[str, str | float | None]:
     }
 
 
+def scene_row(scene: str, results: Sequence[Result]) -> dict[str, str | float | None]:
+    """What is kept of the results of one scene: counts, and the names of the variations that were judged wrongly."""
+    own = [result for result in results if result.scene == scene]
+    faults = [result for result in own if result.kind == "fault"]
+    wrong = [result for result in own if is_wrong(result)]
+    caused = [result for result in own if result.cause_right is not None and result.exit]
+    return {
+        "scene": f"{scene}{' (fitted)' if SCENES[scene].fitted else ''}",
+        "faults": len(faults),
+        "found": sum(result.exit != 0 for result in faults),
+        "lies": sum(result.kind == "fault" for result in wrong),
+        "harmless": sum(result.kind == "harmless" for result in own),
+        "false alarms": sum(result.kind == "harmless" for result in wrong),
+        "invisible": sum(result.kind == "invisible" for result in own),
+        "causes named": sum(bool(result.cause_right) for result in caused),
+        "of": len(caused),
+        "judged wrongly": ", ".join(result.name for result in wrong),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -1158,7 +1178,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--everywhere", action="store_true", help="apply each variation to all scenes, not just to its own")
     parser.add_argument("--table", action="store_true", help="only print the results of earlier runs")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="write a row of counts for each scene; FOLDER/results has every variation's")
     given = parser.parse_args()
     kept = given.folder / "results"
     kept.mkdir(parents=True, exist_ok=True)
@@ -1182,7 +1202,7 @@ def main() -> None:
     named = [result.cause_right for result in results if result.cause_right is not None and result.exit]
     print(f"{len(results)} variations, {len(wrong)} judged wrongly; cause named in {sum(named)} of {len(named)} that were found")
     if given.json:
-        given.json.write_text(json.dumps([row(result) for result in results], indent=1))
+        given.json.write_text(json.dumps([scene_row(scene, results) for scene in given.scenes], indent=1))
     sys.exit(bool(wrong))
 
 
