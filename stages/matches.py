@@ -14,6 +14,7 @@ MATCHERS = {
     "hao2011": "wbflow_stages.matching.hao2011:match_hao2011",
     "mutual": "wbflow_stages.matching.nearest_neighbour:match_mutual",
     "kdtree": "wbflow_stages.matching.nearest_neighbour:match_kdtree",
+    "lightglue": "wbflow_stages.matching.lightglue:match_lightglue",
     "onnx": "wbflow_stages.matching.learned:match_onnx",
 }
 """Sparse matchers by name.  A matcher takes its inputs by argument name: `left`, `right` (`Features`), `left_frame`,
@@ -41,8 +42,9 @@ def match(
     left_frame, right_frame : the frames themselves, for matchers that take them.
     matcher : "structural": descriptors and local affine structure together; "hao2011": section 3.3.2 of Hao (2011) to the
         letter, for study; "hao2011-dominance": the same with a dominance test that can take effect; "mutual": mutual nearest
-        neighbours with a ratio test both ways; "kdtree": Lowe's ratio test through FLANN; "onnx": a learned matcher, whose
-        file you supply as `model: PATH`; or a function of your own, `package.module:function`.
+        neighbours with a ratio test both ways; "kdtree": Lowe's ratio test through FLANN; "lightglue": LightGlue on the
+        keypoints of `features`, and "onnx": features and matcher as one model of two images, whose file you supply as
+        `model: PATH`; or a function of your own, `package.module:function`.
     min_matches : reject a pair with fewer matches.
     options : parameters of the matcher, see its function.
 

@@ -136,7 +136,7 @@ def test_a_misspelt_model_file_is_an_error_that_suggests_the_right_name(tmp_path
 
 def test_a_model_of_another_matcher_is_an_error_that_names_that_matcher(tmp_path: Path) -> None:
     reported = problem(tmp_path, "matches: {model: glue.onnx}")
-    assert "'model' is not read by the chosen matcher" in reported and "choose matcher: onnx" in reported
+    assert "'model' is not read by the chosen matcher" in reported and "choose matcher: lightglue or onnx" in reported
 
 
 def place_model(folder: Path, monkeypatch: pytest.MonkeyPatch, content: bytes = b"weights") -> Path:
