@@ -11,7 +11,12 @@ row rotate all of them by 0.04 degrees.
     scripts/bench_poses.py --sets fountain:0-5-10 fountain:1-5-9 --width 1536
     scripts/bench_poses.py --unknown --sets entry:all
     scripts/bench_poses.py --json rows.json
+    scripts/bench_poses.py --ours --detector onnx --model aliked-n32.onnx --width 1024 --sets fountain:all desk
     scripts/bench_poses.py --check        the four-camera set at 768 with thresholds, for CI
+
+"wrong" are the pairs of wbflow that are believed (probability of at least 0.5) although their rotation is off by more than
+5 degrees or the direction of their baseline by more than 15.  "desk" is one moment of four webcams, whose true centres are good
+to about a centimetre.  The model of --detector is the file that COLMAP publishes, or what `aliked_onnx.py` writes.
 
 "yard" is the rendered demo site, whose truth is exact; for "yard:one-lens" its images are warped to a common lens.  The truth of
 the photographs is not exact: two programs' solutions of all of fountain, from different features, are rotated by 0.005 degrees
@@ -30,19 +35,19 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from time import process_time
 from typing import Literal
 
 import cv2
 import numpy as np
-from pairs_with_truth import DATA, read_rgb
+from pairs_with_truth import DATA, pose_error_deg, read_rgb
 from scores import pose_errors, turn_errors_deg
 
 from wbflow.commands.demo import write_demo
 from wbflow.pipeline.pairs import select_pairs
-from wbflow_stages.features import detect
+from wbflow_stages.features import DETECTORS, detect
 from wbflow_stages.frames import clean_frame
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
@@ -59,6 +64,24 @@ SETS = (
     "entry:all",
     "yard",
 )
+
+
+DESK_FRAME = 31
+"""Frame of the desk's videos that is taken: the cameras' times differ by 20 ms at most."""
+BELIEVED = 0.5
+"""Pairs of at least this probability are believed."""
+WRONG_ROTATION_DEG = 5.0
+WRONG_BASELINE_DEG = 15.0
+"""A pair with a larger error of its rotation, or of the direction of its baseline, is wrong, degrees."""
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """How keypoints are found."""
+
+    detector: str = "sift"
+    model: Capture | None = None
+    """The file of a learned detector."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +102,8 @@ class Row:
     poses_cpu_s: float = float("nan")
     turn_deg: float = float("nan")
     to_whole_deg: float = float("nan")
+    pairs: int = 0
+    wrong: int = 0
 
 
 SCENE_SOLUTIONS: dict[tuple[str, int, bool, str], dict[str, Camera]] = {}
@@ -91,6 +116,8 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=1536)
     parser.add_argument("--unknown", action="store_true", help="withhold the intrinsics too")
     parser.add_argument("--ours", action="store_true", help="measure wbflow only, without pycolmap's pipeline")
+    parser.add_argument("--detector", default="sift", choices=list(DETECTORS), help="wbflow's keypoints")
+    parser.add_argument("--model", type=Path, help="ONNX file of a learned detector")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
@@ -98,18 +125,20 @@ def main() -> None:
         check()
         return
     rows = []
+    model = Capture(options.model.name, np.fromfile(options.model, np.uint8)) if options.model else None
+    measure_ours = partial(measure_wbflow, keypoints=Keypoints(options.detector, model))
     print(
         f"{'set':24} {'program':9} {'solved':>7} {'rot deg':>8} {'cm':>7} {'max cm':>7} {'focal %':>8} {'CPU s':>7} {'poses':>6} "
-        f"{'turn':>7} {'to whole':>8}"
+        f"{'turn':>7} {'to whole':>8} {'wrong':>9}"
     )
     for images in options.sets:
-        for program in (measure_wbflow,) if options.ours else (measure_wbflow, measure_pycolmap):
+        for program in (measure_ours,) if options.ours else (measure_ours, measure_pycolmap):
             row = program(images, options.width, not options.unknown)
             rows.append(row)
             print(
                 f"{row.images:24} {row.program:9} {row.solved:>3}/{row.cameras:<3} {row.rotation_deg:8.4f} {row.centre_cm:7.3f} "
                 f"{row.centre_max_cm:7.3f} {row.focal_percent:8.3f} {row.cpu_s:7.1f} {row.poses_cpu_s:6.2f} "
-                f"{row.turn_deg:7.4f} {row.to_whole_deg:8.4f}",
+                f"{row.turn_deg:7.4f} {row.to_whole_deg:8.4f} {row.wrong:>3}/{row.pairs:<5}",
                 flush=True,
             )
     if options.json:
@@ -124,10 +153,10 @@ def check() -> None:
         sys.exit("poses are worse than promised: 4 cameras, 0.10 degrees, 0.8 cm")
 
 
-def measure_wbflow(images: str, width: int, known: bool) -> Row:
+def measure_wbflow(images: str, width: int, known: bool, keypoints: Keypoints = Keypoints()) -> Row:
     """The stages one after the other, as the engine would run them."""
-    if images in RENDERED:
-        frames, truth = RENDERED[images]()
+    if images in PREPARED:
+        frames, truth = PREPARED[images]()
         start = process_time()
     else:
         files, truth = photographs(images)
@@ -137,7 +166,7 @@ def measure_wbflow(images: str, width: int, known: bool) -> Row:
             lens = Lens(K=camera.K, width=camera.width, height=camera.height) if known else Lens()
             capture = Capture(file.name, np.fromfile(file, np.uint8))
             frames[name] = clean_frame([capture], lens, None, resolution=width)
-    detected = {name: detect(frame) for name, frame in frames.items()}
+    detected = {name: detect(frame, model=keypoints.model, detector=keypoints.detector) for name, frame in frames.items()}
     features: dict[str, Features] = {name: f for name, f in detected.items() if isinstance(f, Features)}
     views = {name: frame.view for name, frame in frames.items()}
     geometries: dict[Pair, Geometry] = {}
@@ -149,7 +178,16 @@ def measure_wbflow(images: str, width: int, known: bool) -> Row:
     before = process_time()
     poses = solve_poses(views, {}, geometries)
     cameras = {name: c for name, c in poses.cameras.items() if c.component == 0} if isinstance(poses, Poses) else {}
-    return row_of(images, width, known, "wbflow", cameras, truth, process_time() - start, process_time() - before)
+    program = "wbflow" if keypoints.detector == "sift" else keypoints.detector
+    row = row_of(images, width, known, program, cameras, truth, process_time() - start, process_time() - before)
+    believed = [pair for pair, geometry in geometries.items() if geometry.good_probability >= BELIEVED]
+    return replace(row, pairs=len(believed), wrong=sum(is_wrong(truth, pair, geometries[pair]) for pair in believed))
+
+
+def is_wrong(truth: dict[str, Camera], pair: Pair, geometry: Geometry) -> bool:
+    """Does the pose of a pair contradict the true cameras?"""
+    rotation, baseline = pose_error_deg(truth[pair[0]], truth[pair[1]], geometry.cam2_R_cam1, geometry.cam2_t_cam1)
+    return rotation > WRONG_ROTATION_DEG or baseline > WRONG_BASELINE_DEG
 
 
 def measure_pycolmap(images: str, width: int, known: bool, *, mapper: Literal["incremental", "global"] = "incremental") -> Row:
@@ -163,8 +201,8 @@ def measure_pycolmap(images: str, width: int, known: bool, *, mapper: Literal["i
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "PINHOLE" if known else "SIMPLE_RADIAL"
     truth: dict[str, Camera]
-    if images in RENDERED:
-        frames, truth = RENDERED[images]()
+    if images in PREPARED:
+        frames, truth = PREPARED[images]()
         start, groups = process_time(), [[name] for name in frames]
         reader.mask_path = str(folder / "masks")
         for name, frame in frames.items():
@@ -271,8 +309,32 @@ def one_lens() -> tuple[dict[str, Frame], dict[str, Camera]]:
     return moved, cameras
 
 
-RENDERED: dict[str, Callable[[], tuple[dict[str, Frame], dict[str, Camera]]]] = {"yard": yard_frames, "yard:one-lens": one_lens}
-"""Functions that return the frames and true cameras of the rendered sets."""
+def desk_frames() -> tuple[dict[str, Frame], dict[str, Camera]]:
+    """Clean frames (without distortion) and true cameras of the desk's four webcams at one moment."""
+    folder = DATA / "desk"
+    if not folder.exists():
+        raise SystemExit(f"no {folder}: say where the videos are in WBFLOW_DATA")
+    frames = {}
+    truth = {}
+    for name, c in json.loads((folder / "cameras.json").read_text()).items():
+        video = cv2.VideoCapture(str(folder / f"{name}.mp4"))
+        video.set(cv2.CAP_PROP_POS_FRAMES, DESK_FRAME)
+        _, pixels = video.read()
+        capture = Capture.of_pixels(f"{name}.png", np.asarray(pixels[..., ::-1], np.uint8))
+        lens = Lens(np.array(c["K"]), np.array(c["distortion"]), None, c["width"], c["height"])
+        frames[name] = clean_frame([capture], lens, None, resolution=None)
+        view = frames[name].view
+        assert view.K is not None
+        truth[name] = Camera(view.K, np.array(c["R"]), np.array(c["C"]), view.width, view.height)
+    return frames, truth
+
+
+PREPARED: dict[str, Callable[[], tuple[dict[str, Frame], dict[str, Camera]]]] = {
+    "yard": yard_frames,
+    "yard:one-lens": one_lens,
+    "desk": desk_frames,
+}
+"""Functions that return the frames and true cameras of sets whose frames are not photographs as they are."""
 
 
 def row_of(

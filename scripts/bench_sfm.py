@@ -22,7 +22,7 @@ from time import monotonic, process_time
 import cv2
 import numpy as np
 from bench_files import write_rows
-from bench_poses import RENDERED, Row, measure_pycolmap, measure_wbflow, photographs, row_of
+from bench_poses import PREPARED, Row, measure_pycolmap, measure_wbflow, photographs, row_of
 from bench_poses import SETS as POSE_SETS
 from pairs_with_truth import on_one_thread, read_rgb
 
@@ -106,8 +106,8 @@ def openmvg(images: str, width: int) -> Row:
 
 def _written(images: str, width: int, folder: Path) -> tuple[dict[str, Camera], Float64s, int]:
     """Write the set's images into a folder; returns true cameras, the common calibration matrix, and the images' width."""
-    if images in RENDERED:
-        frames, truth = RENDERED[images]()
+    if images in PREPARED:
+        frames, truth = PREPARED[images]()
         for name, frame in frames.items():
             cv2.imwrite(str(folder / f"{name}.png"), np.where(frame.mask[..., None], frame.image, 0)[..., ::-1])
         any_camera = next(iter(truth.values()))
