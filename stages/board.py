@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -23,22 +23,17 @@ from .capture.files import BadCapture
 from .capture.video import all_pictures
 from .core.least_squares import levenberg_marquardt
 from .core.lenses import PROJECTIONS, lens_rays, usable_angle
-from .types import Capture, Float32s, Float64s, Lens, Uint8s
+from .sighted.boards import DICTIONARIES, Board, BoardView, as_printed, detect_board, differences, spread_over
+from .types import Capture, Float64s, Lens, Uint8s
 
 _LEAST_PICTURES = 5
 """Fewest pictures with the board from which a lens is fitted."""
-_LEAST_CORNERS = 8
-"""Fewest corners of a ChArUco board in a picture that is used."""
 _VIDEO_STEP = 3
 """Step in frames between the pictures taken from a video; longer where there would be more than `_MOST_PER_VIDEO`."""
 _MOST_PER_VIDEO = 60
 """Most pictures taken from a video."""
 _SAMPLE = 12
-"""Number of pictures, spread over all, that tell how the board is printed."""
-_FEW = 6
-"""Number of pictures of the sample, at least, in which other ways to print the board are looked for."""
-_FEWEST = 3
-"""Number of pictures, at least, in which markers of all dictionaries are looked for, which takes long."""
+"""Number of pictures, spread over all, that tell how the board is printed; up to twice as many are taken."""
 _CELLS = (8, 6)
 """Columns and rows of the grid of cells over the picture in which corners are counted."""
 _GOOD_PX = 0.3
@@ -48,48 +43,6 @@ _WARNING_PX = 1.0
 """RMS residual in pixels above which the report warns: the lens is of another model, or the board is not flat."""
 _LEAST_COVERED = 0.4
 """Share of the cells with corners below which the report warns."""
-_PLANE_SHARE = 0.02
-"""Corners that lie on a plane, up to this share of their extent (lenses bend planes a little), belong together."""
-DICTIONARIES = (
-    *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    "ARUCO_ORIGINAL",
-    "ARUCO_MIP_36h12",
-    "APRILTAG_16h5",
-    "APRILTAG_25h9",
-    "APRILTAG_36h10",
-    "APRILTAG_36h11",
-)
-"""OpenCV's dictionaries of markers, without their prefix `DICT_`.  Each of 50, 100 or 250 is the beginning of that of 1000."""
-
-
-@dataclass(frozen=True)
-class Board:
-    """The calibration board that was photographed."""
-
-    columns: int
-    """Inner corners per row of a checkerboard; squares per row of a ChArUco board."""
-    rows: int
-    square: float = 1.0
-    """Edge of a square, in any unit of length."""
-    marker: float = 0.0
-    """Edge of a ChArUco marker, in the same unit; 0: a plain checkerboard."""
-    dictionary: str = "4X4_50"
-    """OpenCV's dictionary of the markers, without the prefix `DICT_`."""
-    is_inverted: bool = False
-    """Are the markers white on black?"""
-    is_legacy: bool = False
-    """Does a board with an even number of rows begin with a marker, as OpenCV drew it before 4.6, instead of a black square?"""
-
-
-@dataclass(frozen=True)
-class _BoardView:
-    """The corners detected in one picture."""
-
-    name: str
-    board: Float32s
-    """(n, 3) corners on the board."""
-    image: Float32s
-    """(n, 2) the same corners in the picture, pixels."""
 
 
 def board_files(
@@ -111,9 +64,9 @@ def board_files(
     stated = Board(**board)  # type: ignore[arg-type]
     if stated.dictionary not in DICTIONARIES:
         raise ValueError(f"there is no dictionary {stated.dictionary!r}; there are {', '.join(DICTIONARIES)}")
-    printed = _printed(stated, _sample(pictures_of_it))
-    notes = _differences(stated, printed)
-    views: list[_BoardView] = []
+    printed = as_printed(stated, spread_over((grey for _, grey in _grey_pictures(pictures_of_it, [])), _SAMPLE))
+    notes = differences(stated, printed)
+    views: dict[str, BoardView] = {}
     size = (0, 0)
     for name, grey in _grey_pictures(pictures_of_it, notes):
         height, width = grey.shape
@@ -121,24 +74,25 @@ def board_files(
             notes.append(f"{name} is not the same size as the first picture")
             continue
         size = width, height
-        view = _detect_corners(name, grey, printed)
+        view = detect_board(grey, printed)
         if view is None:
             notes.append(f"{name}: no board is found")
         else:
-            views.append(view)
+            views[name] = view
     if len(views) < _LEAST_PICTURES:
         raise ValueError(f"the board is seen in {len(views)} pictures, {_LEAST_PICTURES} are needed: are columns and rows right?")
-    K, distortion, residuals = _fit(views, size, model)
+    seen = list(views.values())
+    K, distortion, residuals = _fit(seen, size, model)
     squares = [(r**2).sum(axis=1) for r in residuals]
     rms_px = [float(np.sqrt(r.mean())) for r in squares]
-    covered = _covered_share(views, size)
+    covered = _covered_share(seen, size)
     entry = {
         "K": K.tolist(),
         "width": size[0],
         "height": size[1],
         "model": model,
         "distortion": distortion.tolist(),
-        "residuals_px": {view.name: round(value, 4) for view, value in zip(views, rms_px, strict=True)},
+        "residuals_px": {name: round(value, 4) for name, value in zip(views, rms_px, strict=True)},
         "covered": round(covered, 3),
     }
     overall = float(np.sqrt(np.mean(np.concatenate(squares))))
@@ -147,7 +101,7 @@ def board_files(
         messages.append("the lens is known only where corners were: hold the board in every part of the picture, near and far")
     if overall > _WARNING_PX:
         messages.append(f"{overall:.1f} px rms is high: another --model may fit this lens better, or the board is not flat")
-    plot = cv2.imencode(".png", _plot(views, residuals, size))[1].tobytes()
+    plot = cv2.imencode(".png", _plot(seen, residuals, size))[1].tobytes()
     return {f"{camera}.json": json.dumps({camera: entry}, indent=1).encode(), f"{camera}-coverage.png": plot}, messages
 
 
@@ -162,183 +116,7 @@ def _grey_pictures(files: Mapping[str, bytes], notes: list[str]) -> Iterator[tup
             notes.append(str(error))
 
 
-def _sample(files: Mapping[str, bytes]) -> list[Uint8s]:
-    """From `_SAMPLE` to twice as many pictures, spread over all (fewer if there are no more)."""
-    sample: list[Uint8s] = []
-    step = 1
-    for number, (_, grey) in enumerate(_grey_pictures(files, [])):
-        if number % step:
-            continue
-        sample.append(grey)
-        if len(sample) == 2 * _SAMPLE:
-            sample = sample[::2]
-            step *= 2
-    return sample
-
-
-def _printed(stated: Board, sample: Sequence[Uint8s]) -> Board:
-    """The board as it is printed: of all that a statement may mean, what shows the most corners; what is stated, if as many."""
-    few = sample[:: max(1, len(sample) // _FEW)]
-    if not stated.marker:
-        # the same board by its squares, and by its corners; a search without success takes long
-        others = [replace(stated, columns=stated.columns + k, rows=stated.rows + k) for k in (-1, 1)]
-        if _checkers_seen(stated, few):
-            return stated
-        seen = [_checkers_seen(board, few) for board in others]
-        return others[int(np.argmax(seen))] if any(seen) else stated
-    best, most = _best_layout(stated, few)
-    if most >= _LEAST_CORNERS * min(_LEAST_PICTURES, len(few)):
-        return best
-    for dictionary in _likely_dictionaries(stated, few):
-        found, corners = _best_layout(replace(stated, dictionary=dictionary), few)
-        if corners > most:
-            best = found
-            most = corners
-    return best
-
-
-def _best_layout(stated: Board, sample: Sequence[Uint8s]) -> tuple[Board, int]:
-    """The layout that shows the most corners (of equal ones, the one most like what is stated), and their number."""
-    # markers are looked for once: that takes most of the time, and they are the same for all layouts
-    most = _most_markers(stated)
-    upright = [_markers(stated.dictionary, grey, False, most) for grey in sample]
-    inverted = [_markers(stated.dictionary, grey, True, most) for grey in sample]
-    is_inverted = sum(map(len, inverted)) > sum(map(len, upright))
-    markers = inverted if is_inverted else upright
-    scored = []
-    for board in _layouts(replace(stated, is_inverted=is_inverted)):
-        views = [_detect_charuco("", grey, board, found) for grey, found in zip(sample, markers, strict=True) if len(found)]
-        scored.append((board, _corners_seen(views)))
-    return max(scored, key=lambda layout: layout[1])
-
-
-def _layouts(stated: Board) -> list[Board]:
-    """The ChArUco boards that a statement may mean; what is stated comes first."""
-    sizes: list[tuple[int, int]] = []
-    for more in (0, 1):  # 1: corners are stated, not squares
-        columns = stated.columns + more
-        rows = stated.rows + more
-        sizes += [(columns, rows), (rows, columns)]
-    layouts: list[Board] = []
-    for columns, rows in dict.fromkeys(sizes):
-        layouts.append(replace(stated, columns=columns, rows=rows))
-        if rows % 2 == 0:  # with an odd number of rows both layouts are the same
-            layouts.append(replace(stated, columns=columns, rows=rows, is_legacy=True))
-    return layouts
-
-
-def _likely_dictionaries(stated: Board, sample: Sequence[Uint8s]) -> list[str]:
-    """The two dictionaries of which the most markers are found, black on white or white on black."""
-    most = _most_markers(stated)
-    counts: dict[str, int] = {}
-    for name in DICTIONARIES:
-        if not name.endswith(("_50", "_100", "_250")):  # these are parts of those of 1000
-            by_polarity = [sum(len(_markers(name, grey, is_inverted, most)) for grey in sample) for is_inverted in (False, True)]
-            counts[name] = max(by_polarity)
-    return sorted(counts, key=lambda name: -counts[name])[:2]
-
-
-def _most_markers(stated: Board) -> int:
-    """Most markers that a board may have, however a statement of its size is meant."""
-    return max((board.columns * board.rows + 1) // 2 for board in _layouts(stated))
-
-
-@dataclass(frozen=True)
-class _Markers:
-    """The markers of a dictionary in one picture."""
-
-    corners: Sequence[Any]
-    """The four corners of each marker (1, 4, 2) float32, pixels."""
-    ids: Any
-    """Their numbers (n, 1) int32; None if there are none."""
-
-    def __len__(self) -> int:
-        return len(self.corners)
-
-
-def _markers(dictionary: str, grey: Uint8s, is_inverted: bool, most: int) -> _Markers:
-    """The markers in a picture (h, w), black on white or, inverted, white on black, up to number `most` of a dictionary."""
-    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary, most))
-    corners, ids, _ = detector.detectMarkers(255 - grey if is_inverted else grey)
-    return _Markers(corners, ids)
-
-
-def _checkers_seen(board: Board, sample: Sequence[Uint8s]) -> int:
-    return _corners_seen([_detect_corners("", grey, board) for grey in sample])
-
-
-def _corners_seen(views: Sequence[_BoardView | None]) -> int:
-    """Number of corners in views of a board, as far as they lie where a plane shows them: a wrong layout mixes them up."""
-    count = 0
-    for view in views:
-        if view is None:
-            continue
-        limit = _PLANE_SHARE * float(np.ptp(view.image, axis=0).max())
-        inliers = cv2.findHomography(view.board[:, :2], view.image, cv2.RANSAC, limit)[1]
-        count += 0 if inliers is None else int(np.count_nonzero(inliers))
-    return count
-
-
-def _differences(stated: Board, printed: Board) -> list[str]:
-    """Messages on how a board is printed, where that is not what was stated."""
-    notes: list[str] = []
-    if (printed.columns, printed.rows) != (stated.columns, stated.rows):
-        counted = "squares" if printed.marker else "inner corners"
-        notes.append(
-            f"the board has {printed.columns}x{printed.rows} {counted}, not {stated.columns}x{stated.rows}: "
-            f"a checkerboard is stated by its inner corners, a ChArUco board by its squares"
-        )
-    if printed.dictionary != stated.dictionary:
-        notes.append(f"its markers are of the dictionary {printed.dictionary}, not {stated.dictionary}")
-    if printed.is_inverted:
-        notes.append("its markers are white on black (inverted)")
-    if printed.is_legacy:
-        notes.append("its layout is that of OpenCV before 4.6 (legacy)")
-    return notes
-
-
-def _dictionary(name: str, most: int) -> Any:
-    """A dictionary's first markers, at most `most`: boards use these, and more take time and may be mistaken for others."""
-    whole = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
-    return cv2.aruco.Dictionary(whole.bytesList[:most], whole.markerSize, whole.maxCorrectionBits)
-
-
-def _detect_corners(name: str, grey: Uint8s, board: Board) -> _BoardView | None:
-    """The corners in a picture (h, w); None if the board is not found in it."""
-    size = board.columns, board.rows
-    if board.marker:
-        return _detect_charuco(name, grey, board)
-    if min(size) < 3:
-        return None
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    is_found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
-    if not is_found:
-        return None
-    grid = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2) * board.square
-    points = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
-    return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
-
-
-def _detect_charuco(name: str, grey: Uint8s, board: Board, markers: _Markers | None = None) -> _BoardView | None:
-    """The corners of a ChArUco board in a picture (h, w); None if it is not found.  markers: if they are known already."""
-    dictionary = _dictionary(board.dictionary, (board.columns * board.rows + 1) // 2)
-    if board.columns * board.rows // 2 > len(dictionary.bytesList):
-        return None  # the dictionary has not as many markers as the board
-    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
-    pattern.setLegacyPattern(board.is_legacy)
-    detector = cv2.aruco.CharucoDetector(pattern)
-    picture = 255 - grey if board.is_inverted else grey
-    if markers is None:
-        corners, ids, _, _ = detector.detectBoard(picture)
-    else:
-        corners, ids, _, _ = detector.detectBoard(picture, markerCorners=markers.corners, markerIds=markers.ids)
-    if ids is None or len(ids) < min(_LEAST_CORNERS, (board.columns - 1) * (board.rows - 1)):
-        return None
-    points = np.asarray(pattern.getChessboardCorners(), np.float32)[np.asarray(ids).ravel()]
-    return _BoardView(name, points, np.asarray(corners, np.float32).reshape(-1, 2))
-
-
-def _fit(views: Sequence[_BoardView], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
+def _fit(views: Sequence[BoardView], size: tuple[int, int], model: str) -> tuple[Float64s, Float64s, list[Float64s]]:
     """K, distortion coefficients, and residuals (n, 2) of each picture, pixels."""
     if model in STARTS:
         return fit_lens([v.board.astype(np.float64) for v in views], [v.image.astype(np.float64) for v in views], size, model)
@@ -357,21 +135,21 @@ def _fit(views: Sequence[_BoardView], size: tuple[int, int], model: str) -> tupl
     return np.asarray(K, dtype=np.float64), D, residuals
 
 
-def _covered_share(views: Sequence[_BoardView], size: tuple[int, int]) -> float:
+def _covered_share(views: Sequence[BoardView], size: tuple[int, int]) -> float:
     """Share of the picture's cells that contain a corner: in the others the lens is extrapolated."""
     x = np.concatenate([v.image for v in views]) / size
     cells = np.clip((x * _CELLS).astype(int), 0, np.array(_CELLS) - 1)
     return len(np.unique(cells, axis=0)) / (_CELLS[0] * _CELLS[1])
 
 
-def _plot(views: Sequence[_BoardView], residuals: Sequence[Float64s], size: tuple[int, int]) -> Uint8s:
+def _plot(views: Sequence[BoardView], residuals: Sequence[Float64s], size: tuple[int, int]) -> Uint8s:
     """(h, w, 3) BGR: every corner where it was detected, from green (small residual) to red (large)."""
     scale = min(1.0, 1280 / max(size))
     plot = np.full((round(size[1] * scale), round(size[0] * scale), 3), 255, np.uint8)
     plot[:, [plot.shape[1] * k // _CELLS[0] for k in range(1, _CELLS[0])]] = 225
     plot[[plot.shape[0] * k // _CELLS[1] for k in range(1, _CELLS[1])]] = 225
-    for view, differences in zip(views, residuals, strict=True):
-        badness = np.clip((np.linalg.norm(differences, axis=1) - _GOOD_PX) / (_BAD_PX - _GOOD_PX), 0, 1)
+    for view, residual in zip(views, residuals, strict=True):
+        badness = np.clip((np.linalg.norm(residual, axis=1) - _GOOD_PX) / (_BAD_PX - _GOOD_PX), 0, 1)
         for (x, y), bad in zip(view.image * scale, badness, strict=True):
             cv2.circle(plot, (round(float(x)), round(float(y))), 3, (60, 160 * (1 - bad), 60 + 160 * bad), -1, cv2.LINE_AA)
     return plot

@@ -9,7 +9,7 @@ from .captured import Capture, Lens, Placement, Privacy
 from .dense import INVALID, MOST_PARTNERS, Cloud, DepthMap, Disparity, GroundOfPair, PolarRows, Rectification, RowMatches
 from .ground import NEW, SAME, UNKNOWN, VANISHED, Changes, Coverage, GroundGrid
 from .health import CameraHealth, ShiftHistory
-from .observations import Observations, ObservedPoses, ThingSurvey
+from .observations import Observations, ObservedPoses, Sightings, ThingSurvey
 from .pairs import Geometry, Matches, Overlap, at_rows
 from .places import Hull, KnownPlace
 from .site import LensSigma, Poses, Scene
@@ -69,6 +69,7 @@ __all__ = [
     "RowMatches",
     "Scene",
     "ShiftHistory",
+    "Sightings",
     "Survey",
     "ThingSurvey",
     "Uint8s",

@@ -56,6 +56,19 @@ class ThingSurvey(Record):
 
 
 @dataclass(frozen=True)
+class Sightings(Record):
+    """What was found in recordings."""
+
+    observations: Observations
+    survey: ThingSurvey
+    """Lengths on the board; nothing for a lamp."""
+    pictures: Mapping[str, bytes]
+    """JPEG by camera: what was found, drawn over a picture of the recording."""
+    messages: tuple[str, ...]
+    """For the operator."""
+
+
+@dataclass(frozen=True)
 class ObservedPoses(ObservedFigures):
     """Poses from observations, with standard deviations, as evidence for `poses.solve_poses`."""
 
