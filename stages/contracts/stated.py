@@ -1,4 +1,4 @@
-"""What the site file states about cameras and ground: lenses, poses, distances and control points.
+"""What the site file states about cameras and ground: lenses, poses, distances, control points, observations of things.
 
 The engine reads these from YAML as lists of numbers; the vision works with them as arrays (`types.captured`).  Both are the same
 dataclasses, with the type of their vectors and matrices as parameters.
@@ -16,6 +16,11 @@ Matrix = TypeVar("Matrix")
 """Lists of rows in the engine, float64 arrays in the vision."""
 Vector = TypeVar("Vector")
 """A list of numbers in the engine, a float64 array in the vision."""
+
+Integers = TypeVar("Integers")
+"""`array("i")` in the engine, int32 arrays in the vision."""
+Numbers = TypeVar("Numbers")
+"""`array("d")` in the engine (tables row by row), float64 arrays in the vision."""
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 """The coefficients of a lens without distortion."""
@@ -103,3 +108,46 @@ class Survey(Record):
     """Rows of control point, camera, x, y in pixels of the image as captured (upright)."""
     crs: str = ""
     """The coordinate system of the world, "" if it is local."""
+
+
+@dataclass(frozen=True)
+class Observations(Record, Generic[Integers, Numbers]):
+    """Rows of camera, time, thing, x, y, sigma: a lamp, the corners of a board, a drone, a point that somebody clicked."""
+
+    cameras: tuple[str, ...]
+    """Ids of the cameras that `camera` counts."""
+    things: tuple[str, ...]
+    """Ids of the things that `thing` counts; a file without ids has one thing."""
+    camera: Integers
+    """(n,)"""
+    thing: Integers
+    """(n,)"""
+    time: Numbers
+    """(n,) by the camera's own clock; nan: the thing does not move."""
+    xy: Numbers
+    """(n, 2) pixels of the picture as captured, with its distortion."""
+    sigma_px: Numbers
+    """(n,) standard deviation of a coordinate, nan where none is stated."""
+    time_unit: str = "s"
+    """"s", or "frames" where the file counts frames."""
+
+
+@dataclass(frozen=True)
+class ThingSurvey(Record, Generic[Integers, Numbers]):
+    """What is known of the things themselves: their places, or lengths between them."""
+
+    things: tuple[str, ...]
+    """Ids of the things that the rows count."""
+    thing: Integers
+    """(n,) of each known place."""
+    time: Numbers
+    """(n,) in the unit of the observations, by the clock of the first camera up to an offset; nan: it does not move."""
+    position: Numbers
+    """(n, 3) metres, world."""
+    sigma_m: Numbers
+    """(n,) standard deviation of a coordinate, nan where none is stated."""
+    lengths: tuple[tuple[int, int, float], ...] = ()
+    """Rows of thing, thing, distance between them at any one time in metres."""
+    crs: str = ""
+    """The coordinate system of the positions, "" if it is local."""
+    time_unit: str = "s"

@@ -27,6 +27,7 @@ from ..runner.tonight import read_night
 from ..site.capture_files import CaptureFile
 from ..site.captures import FEW_EXAMPLES, expected, nights_near, nothing_matches
 from ..site.models import Camera, Site
+from ..site.observation_checks import doubts_about_observations
 from ..site.plausibility import polygon_outside
 from ..site.stale_cameras import gap_of
 from ..site.yaml_document import Problem
@@ -58,6 +59,8 @@ class Fault:
 def check(site: Site, date: datetime.date | None, network: bool = True) -> list[Fault]:
     """Find everything that would spoil a run, or part of one.  network: also ask cameras with a `url` for a picture."""
     faults = [Fault("warning", _headed(doubt), doubt.remedy, ExitCode.GOOD) for doubt in site.doubts]
+    for doubt in doubts_about_observations(site):
+        faults.append(Fault("error", _headed(doubt), doubt.remedy, ExitCode.DEGRADED))
     machine = check_machine()
     if machine:  # without its libraries, nothing else can be examined
         return faults + machine

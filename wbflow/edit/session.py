@@ -22,10 +22,10 @@ from ..errors import ExitCode, Location, WbflowError
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.captures import captures_of, expected, night
-from ..site.geodesy import local_frame
+from ..site.geodesy import LocalFrame, origin_of
 from ..site.load import load_site, site_of
 from ..site.models import Camera, Section, Site, Vector2, Vector3
-from ..site.yaml_document import Problem, Problems, SiteError, parse_yaml
+from ..site.yaml_document import Problem, SiteError, parse_yaml
 from .merge import MergedList, merge
 from .splice import NotEditable, append, put, remove
 
@@ -143,11 +143,15 @@ class PosedCameras:
                 self.ground = round(heights[int(GROUND_SHARE * len(heights))], 2)
         except (NoSuchRun, OSError, ValueError, LookupError):
             pass  # there is no run yet, or its files are gone
-        self._frame = local_frame(site.settings, Problems(site.document))
+        origin = origin_of(site.survey.crs)
+        self._frame: LocalFrame | None = None
+        if origin is not None:
+            self._frame = LocalFrame(*origin)
         # The poses of a run are in the world of the site file only if something there determines that world.
         placed_count = sum(camera.placement.C is not None for camera in site.cameras)
         is_fixed = max(placed_count, len(site.settings.control_points)) >= _FEWEST_PLACES
-        is_tied = site.has_stated_poses or bool(site.survey.crs) or is_fixed
+        has_surveyed_thing = site.thing_survey is not None and len(site.thing_survey.rows.thing) > 0
+        is_tied = site.has_stated_poses or bool(site.survey.crs) or is_fixed or has_surveyed_thing
         self._in_stated_frame = is_tied and all(entry.get("metric", True) for entry in self.poses.values())
         """Is the cameras' world the coordinate system of stated coordinates?  Stated distances alone fix only its scale."""
         self.upright = bool(self.poses) and all(entry["R"][1][2] < -0.5 for entry in self.poses.values())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..errors import Location
@@ -29,6 +31,15 @@ class LocalFrame:
         """[east, north, up]."""
         return [float(v) for v in self._transformer.transform(longitude, latitude, height)]
 
+    def metres_of(self, geodetic: array[float]) -> array[float]:
+        """East, north and up of places, one after the other; geodetic: their latitudes, longitudes and heights."""
+        east, north, up = self._transformer.transform(geodetic[1::3], geodetic[0::3], geodetic[2::3])
+        metres = array("d", geodetic)
+        metres[0::3] = array("d", east)
+        metres[1::3] = array("d", north)
+        metres[2::3] = array("d", up)
+        return metres
+
 
 def origin_of(crs: str) -> list[float] | None:
     """Latitude, longitude and height of the origin of a coordinate system; None for a local one."""
@@ -43,8 +54,11 @@ def origin_of(crs: str) -> list[float] | None:
     return [float(parameters[key]) for key in keys]
 
 
-def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
-    """The local frame of a site's geodetic positions; None if there are none."""
+def local_frame(file: SiteFile, thing: Sequence[float] | None, problems: Problems) -> LocalFrame | None:
+    """The local frame of a site's geodetic positions; None if there are none.
+
+    thing: the first position of an observed thing (see `observations`), if its positions are geodetic.
+    """
     positions: dict[Location, Position] = {}
     for k, camera in enumerate(file.cameras):
         if camera.pose:
@@ -52,6 +66,8 @@ def local_frame(file: SiteFile, problems: Problems) -> LocalFrame | None:
     for k, point in enumerate(file.control_points):
         positions["control_points", k] = point
     geodetic = {location: position.geodetic for location, position in positions.items() if position.geodetic}
+    if thing is not None:
+        geodetic["survey",] = (thing[0], thing[1], thing[2])
     if not geodetic:
         return None
     local = [location for location in positions if location not in geodetic]

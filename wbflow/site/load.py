@@ -7,6 +7,7 @@ import os
 import re
 import typing
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from wbflow_stages.contracts.stated import LensModel
 
 from ..cache.layout import WorkFolder
-from ..cache.untrusted import is_folder
+from ..cache.untrusted import is_file, is_folder
 from ..errors import Location
 from ..pipeline.binding import Bindings
 from ..pipeline.functions import FunctionReader
@@ -23,8 +24,10 @@ from ..pipeline.pairs import MOST_PAIRS_PER_VIEW
 from ..remote import is_url
 from ..words import printable
 from .cameras import read_cameras, read_survey, views_of
-from .geodesy import POSITION_REMEDY, local_frame
+from .geodesy import POSITION_REMEDY, LocalFrame, local_frame
 from .models import CUSTOM, Camera, Site, SiteFile
+from .observation_tables import ObservationTable, SurveyTable
+from .observations import OBSERVATIONS_REMEDY, SURVEY_REMEDY, read_observations, read_thing_survey
 from .pattern import Pattern
 from .plausibility import check_plausibility
 from .stage_settings import read_stages
@@ -51,9 +54,12 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     # all parts are checked, so that every problem is reported in one go
     problems = Problems(document)
     file = _validated(document, problems)
-    frame = local_frame(file, problems)
+    observations, thing_survey = _read_tables(file, problems)
+    frame = local_frame(file, thing_survey.first_geodetic if thing_survey else None, problems)
     cameras = read_cameras(file, frame, problems)
     survey = read_survey(file, frame, problems)
+    if thing_survey:
+        thing_survey = _in_metres(thing_survey, frame, problems)
     work_folder = _work_folder(str(work or ""), file, problems)
     reader = FunctionReader(work_folder.functions_memo, document.path.resolve().parent)
     bindings = Bindings(reader)
@@ -76,6 +82,8 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
         tuple(cameras),
         tuple(views),
         survey,
+        observations,
+        thing_survey,
         stages,
         work_folder,
         bindings,
@@ -102,6 +110,50 @@ def _validated(document: Document, problems: Problems) -> SiteFile:
         if valid_part is None:
             raise SiteError(*problems.found) from None
         return valid_part
+
+
+def _read_tables(file: SiteFile, problems: Problems) -> tuple[ObservationTable | None, SurveyTable | None]:
+    """The tables of observations and of their survey; their faults are added to `problems`."""
+    if file.observations is None:
+        if file.survey is not None:
+            remedy = "name the file with what the cameras saw, too: observations: FILE"
+            problems.add(("survey",), "says where things were, but no observations of them are given", remedy)
+        return None, None
+    ids = [camera.id for camera in file.cameras]
+    location: Location = ("observations",)
+    try:
+        observations = read_observations(_existing_file(file.observations, location, problems), ids)
+        if file.survey is None:
+            return observations, None
+        location = ("survey",)
+        return observations, read_thing_survey(_existing_file(file.survey, location, problems), observations)
+    except SiteError as error:
+        for fault in error.problems:
+            problems.add(location, f"{fault.mark}: {fault.what}", fault.remedy)
+        return None, None
+
+
+def _existing_file(path: str, location: Location, problems: Problems) -> Path:
+    """The path of a file that the site file names at a location.  Raises SiteError if there is none."""
+    file = resolve_path(path, location, problems)
+    if not is_file(file):
+        remedy = similar(file) or "check the path; it is relative to the site file"
+        raise SiteError(Problem(file, "there is no such file", remedy))
+    return file
+
+
+def _in_metres(survey: SurveyTable, frame: LocalFrame | None, problems: Problems) -> SurveyTable:
+    """The survey with positions in the metres of cameras and control points; if it cannot be, that is added to `problems`."""
+    if frame is None or not survey.rows.thing:
+        return survey
+    if not survey.geodetic:
+        what = (
+            "metres here, but latitude and longitude of cameras or control points: the transformation between the two is unknown"
+        )
+        problems.add(("survey",), what, "give latitude, longitude and height here, too")
+        return survey
+    rows = replace(survey.rows, position=frame.metres_of(survey.rows.position), crs=frame.crs)
+    return replace(survey, rows=rows, geodetic=False)
 
 
 def _work_folder(requested: str, file: SiteFile, problems: Problems) -> WorkFolder:
@@ -190,6 +242,8 @@ _REMEDIES = {
     "intrinsics": "give fx, fy, cx, cy, width, height in pixels, or the horizontal field of view: intrinsics: {hfov: 72}",
     "pose": f"{POSITION_REMEDY}; where known too, one of look_at: [x, y, z], yaw_pitch_roll: [deg, deg, deg], rotation: 3x3, "
     "and how well: position_sigma_m, rotation_sigma_deg",
+    "observations": OBSERVATIONS_REMEDY,
+    "survey": SURVEY_REMEDY,
     "distances": "write [camera, camera, metres], e.g. distances: [[gate, roof, 12.4]]",
     "control_points": "write {position: [x, y, z], pixels: {gate: [x, y], roof: [x, y]}}",
     "captures": "give root: FOLDER and pattern, e.g. pattern: '{camera}/{date:%Y-%m-%d}*.jpg'",

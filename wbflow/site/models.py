@@ -27,6 +27,7 @@ from ..records.keep import Keep
 from ..task import camera_of
 from ..words import bytes_of
 from .calibration.calibrated import Lens, Matrix, Placement, lens_fault, look_at, rotation_fault, yaw_pitch_roll
+from .observation_tables import ObservationTable, SurveyTable
 from .pattern import Pattern, pattern_fault
 from .yaml_document import Document, Problem, suggest
 
@@ -439,6 +440,8 @@ class SiteFile(Section):
     captures: Captures
     cameras: Annotated[list[CameraOrId], Field(min_length=1)]
     calibration: str | None = None
+    observations: str | None = None
+    survey: str | None = None
     distances: list[Annotated[list[Any], Field(min_length=3, max_length=3)]] = []
     control_points: list[ControlPoint] = []
     resolution: int | None = Field(default=defaults.RESOLUTION, ge=64)
@@ -524,6 +527,10 @@ class Site:
     views: tuple[Camera, ...]
     """What the stages work on: the cameras, with several views instead of each camera that is too wide for one pinhole."""
     survey: Survey
+    observations: ObservationTable | None
+    """Where cameras saw things that move or have an identity; None if the file names no observations."""
+    thing_survey: SurveyTable | None
+    """What was surveyed of these things, in metres."""
     stages: dict[str, StageSettings]
     """The settings of every stage; defaults if the file has none."""
     work_folder: WorkFolder
