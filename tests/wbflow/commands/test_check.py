@@ -137,7 +137,7 @@ def test_a_model_that_is_not_on_this_machine_is_found_by_check_and_run_before_an
     monkeypatch.setenv("WBFLOW_MODELS", str(folder / "models"))
     code, output = checked(folder, more="stages: {features: {detector: onnx, model: aliked-n32}}\n")
     assert code == 2
-    assert "site.yaml:6:43: stages.features.model: aliked-n32 is not in" in output and "wbflow models get aliked-n32" in output
+    assert "site.yaml:6:44: stages.features.model: aliked-n32 is not in" in output and "wbflow models get aliked-n32" in output
     result = CliRunner().invoke(main, ["run", str(folder), "-q"])
     assert result.exit_code == 2 and "wbflow models get aliked-n32" in result.output
     assert not (folder / ".wbflow").exists()
