@@ -7,6 +7,7 @@ to it.
 
 from __future__ import annotations
 
+import errno
 import fnmatch
 import os
 import re
@@ -91,29 +92,34 @@ def is_nobodys(name: str) -> bool:
     return _NOBODYS.match(name) is not None
 
 
-def find_untrusted(pattern: str) -> Iterator[str]:
+def find_untrusted(pattern: str, unreadable: Callable[[OSError], None] | None = None) -> Iterator[str]:
     """Yield the paths that a pattern matches, as `glob` does (`*`, `?`, `[...]`, `**` for nested folders).
 
     Unlike `glob`, wildcards match nobody's files (`is_nobodys`), the case of the last suffix is ignored (cameras write .JPG and
     .jpg), and each folder is visited only once, however many links lead to it.  Raises Unreadable beyond `MOST_ENTRIES` entries.
+
+    unreadable: called for each folder that is there and cannot be read, with an error whose `filename` is the folder; such
+    folders are passed over.
     """
+    search = _Search(unreadable or (lambda error: None))
     parts = Path(pattern).parts
     if Path(pattern).is_absolute():
-        yield from _Search().below(parts[0], parts[1:])
+        yield from search.below(parts[0], parts[1:])
     else:
-        yield from _Search().below("", parts)
+        yield from search.below("", parts)
 
 
 class _Search:
     """One search; counts the directory entries that it visits."""
 
-    def __init__(self) -> None:
+    def __init__(self, unreadable: Callable[[OSError], None]) -> None:
+        self._unreadable = unreadable
         self._entry_count = 0
 
     def below(self, folder: str, parts: tuple[str, ...]) -> Iterator[str]:
         """Yield the paths in a folder that match the remaining parts of a pattern."""
         if not parts:
-            if os.path.lexists(folder):
+            if self._is_there(folder):
                 yield folder
             return
         first = parts[0]
@@ -128,9 +134,13 @@ class _Search:
                     yield from files
         elif not any(wildcard in first for wildcard in "*?["):
             # a plain name need not be looked up in a listing; only that of a file may differ in case
-            names = [first] if rest else _in_any_case(folder, first)
-            for name in names:
-                yield from self.below(os.path.join(folder, name), rest)  # noqa: PTH118  (names need not be valid text)
+            path = os.path.join(folder, first)  # noqa: PTH118  (names need not be valid text)
+            if rest:
+                if self._is_folder(path):
+                    yield from self.below(path, rest)
+                return
+            for name in _in_any_case(folder, first):
+                yield from self.below(os.path.join(folder, name), rest)  # noqa: PTH118
         else:
             matches = _matcher(first, is_last=not rest)
             for entry in self._entries(folder):
@@ -149,7 +159,8 @@ class _Search:
             folder = (folders or linked).pop(0)
             try:
                 status = os.stat(folder or ".")  # noqa: PTH116
-            except OSError:
+            except OSError as error:
+                self._pass_over(folder, error)
                 continue
             if (status.st_dev, status.st_ino) in seen:
                 continue
@@ -169,13 +180,45 @@ class _Search:
         try:
             with os.scandir(folder or ".") as iterator:
                 entries = sorted(iterator, key=lambda entry: entry.name)
-        except OSError:
+        except OSError as error:
+            self._pass_over(folder, error)
             return []
         self._entry_count += len(entries)
         if self._entry_count > MOST_ENTRIES:
             remedy = "name the folders in captures.pattern instead of using ** or *"
             raise Unreadable(f"more than {MOST_ENTRIES:,} files would have to be looked at", where=folder, remedy=remedy)
         return entries
+
+    def _is_folder(self, path: str) -> bool:
+        """Is there a folder that can be entered?  What is in its place is reported."""
+        try:
+            status = os.stat(path)  # noqa: PTH116
+        except OSError as error:
+            # the right that is missing is that to look into the folder above
+            self._pass_over(os.path.dirname(path) if isinstance(error, PermissionError) else path, error)  # noqa: PTH120
+            return False
+        except ValueError:  # a zero byte
+            return False
+        if not stat.S_ISDIR(status.st_mode):
+            self._pass_over(path, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
+            return False
+        return True
+
+    def _is_there(self, path: str) -> bool:
+        """Is there anything of this name, be it a link that leads nowhere?"""
+        try:
+            os.lstat(path)
+        except OSError as error:
+            self._pass_over(os.path.dirname(path), error)  # noqa: PTH120
+            return False
+        except ValueError:
+            return False
+        return True
+
+    def _pass_over(self, folder: str, error: OSError) -> None:
+        """Report a folder that is there and cannot be read."""
+        if not isinstance(error, FileNotFoundError):
+            self._unreadable(type(error)(error.errno, error.strerror, folder or "."))
 
 
 def _matcher(part: str, is_last: bool) -> Callable[[str], object]:

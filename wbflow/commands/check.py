@@ -93,6 +93,10 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
     if not any(night.files.captures.values()):
         what = f"{site.file}: no camera has a capture: {nothing_matches(site, night.date)}"
         return [*faults, Fault("error", what, _remedy_of_nothing(site, night.date), ExitCode.FAILED)]
+    folder = _unreadable_folder(night)
+    if folder:
+        what = f"{site.file}: no camera has a capture: {folder.name} {folder.fault}"
+        return [*faults, Fault("error", what, "until then, every run fails", ExitCode.FAILED)]
     for number, camera in enumerate(site.cameras):
         line, column = site.document.place(("cameras", number))
         where = f"{site.file}:{line}:{column}: camera {camera.id}"
@@ -115,6 +119,13 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
             remedy = "give the night's captures a pattern of their own, or a folder of their own"
             faults.append(Fault("warning", f"{where}: {gap}", remedy, ExitCode.GOOD))
     return faults
+
+
+def _unreadable_folder(night: Night) -> CaptureFile | None:
+    """The folder that holds the captures of all cameras, if it cannot be read: said once, not once for each camera."""
+    first = next(iter(night.files.captures.values()))
+    same = all(files == first for files in night.files.captures.values())
+    return first[0] if same and first and not first[0].digest else None
 
 
 def _faults_of_sizes(where: str, camera: Camera, sizes: dict[str, tuple[int, int]]) -> list[Fault]:

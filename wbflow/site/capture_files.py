@@ -43,7 +43,7 @@ def changes_of(captures: Mapping[str, list[CaptureFile]], replaced: Collection[P
     reads = ((camera, functools.partial(_changed_names, files, replaced, digests)) for camera, files in captures.items())
     for camera, names in results_by_camera(reads):
         # a mount that has died since is no evidence of a change
-        if names and not isinstance(names, TimeoutError):
+        if names and not isinstance(names, OSError):
             changes[camera] = names
     return changes
 

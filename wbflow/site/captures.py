@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..cache.memo import Digests
-from ..cache.untrusted import find_untrusted, is_file
+from ..cache.untrusted import Unreadable, find_untrusted, is_file
 from ..errors import UsageError, WbflowError
 from ..words import printable
 from .bursts import BurstEnds, burst_ends, neighbours, night_of
 from .capture_files import CaptureFile, with_current_digest
-from .hanging_disks import results_by_camera
+from .hanging_disks import fault_of_folder, results_by_camera
 from .models import Camera, Site
 
 QUIET_SECONDS = 0.5
@@ -35,8 +35,8 @@ def nights_with_captures(site: Site) -> set[datetime.date]:
     reads = ((name, functools.partial(_moments, site, name)) for name in ids)
     moments: set[datetime.datetime] = set()
     for _, answer in results_by_camera(reads):
-        # `find_captures` reports the cameras that time out
-        if not isinstance(answer, TimeoutError):
+        # `find_captures` reports the cameras whose disks hang or fail
+        if not isinstance(answer, OSError):
             moments |= answer
     if not site.captures.timed:
         return {moment.date() for moment in moments}
@@ -85,14 +85,14 @@ def _days_written(site: Site, today: datetime.date) -> set[datetime.date]:
     days: set[datetime.date] = set()
     reads = ((camera.id, functools.partial(_day_written, site, camera, today)) for camera in site.cameras)
     for _, answer in results_by_camera(reads):
-        if not isinstance(answer, TimeoutError):
+        if not isinstance(answer, OSError):
             days |= answer
     return days
 
 
 def _day_written(site: Site, camera: Camera, today: datetime.date) -> set[datetime.date]:
     """The day on which the newest capture of one camera was written; empty if it has none."""
-    times = [path.stat().st_mtime for path in _paths(site, camera, today) if path.exists()]
+    times = [path.stat().st_mtime for path in _paths(site, camera, today) if is_file(path)]
     if not times:
         return set()
     return {site.local(max(times)).date()}
@@ -131,19 +131,27 @@ def find_captures(site: Site, date: datetime.date, digests: Digests) -> dict[str
     captures: dict[str, list[CaptureFile]] = {}
     reads = ((name, functools.partial(_with_digests, site, paths[name], digests)) for name in paths)
     for name, files in results_by_camera(reads):
-        if isinstance(files, TimeoutError):
-            faults[name] = str(files)
+        if isinstance(files, OSError):
+            faults[name] = files
         else:
             captures[name] = files
     for camera in site.cameras:
         if camera.id in faults:
-            expected_name = expected(site, camera, date)
-            captures[camera.id] = [CaptureFile(printable(expected_name), Path(expected_name), "", faults[camera.id])]
+            captures[camera.id] = [_unreadable(site, camera, date, faults[camera.id])]
     return {camera.id: captures[camera.id] for camera in site.cameras}
 
 
+def _unreadable(site: Site, camera: Camera, date: datetime.date, error: OSError) -> CaptureFile:
+    """What stands for the captures of a camera whose folder cannot be read: this folder, or the expected names, and why."""
+    if error.filename is not None:
+        folder = Path(error.filename)
+        return CaptureFile(f"folder {printable(folder)}", folder, "", fault_of_folder(error))
+    name = expected(site, camera, date)
+    return CaptureFile(printable(name), Path(name), "", fault_of_folder(error))
+
+
 def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
-    """The files of one camera in a night, as `find_captures` returns them; [] if its disk hangs.
+    """The files of one camera in a night, as `find_captures` returns them.
 
     Parameters
     ----------
@@ -152,12 +160,16 @@ def captures_of(site: Site, camera: Camera, date: datetime.date, digests: Digest
     digests : Digests
         Remembers the digests of files.
     """
-    paths, _ = _paths_of_night(site, date)
-    return _with_digests(site, paths.get(camera.id, []), digests)
+    paths, faults = _paths_of_night(site, date)
+    if camera.id in faults:
+        return [_unreadable(site, camera, date, faults[camera.id])]
+    return _with_digests(site, paths[camera.id], digests)
 
 
 def captures_dated(site: Site, camera: Camera, date: datetime.date, digests: Digests) -> list[CaptureFile]:
     """The files of one camera with this date in their names, whichever night a burst around midnight belongs to.
+
+    There are none where their folder cannot be read.
 
     Parameters
     ----------
@@ -166,21 +178,26 @@ def captures_dated(site: Site, camera: Camera, date: datetime.date, digests: Dig
     digests : Digests
         Remembers the digests of files.
     """
-    return _with_digests(site, _paths(site, camera, date), digests)
+    try:
+        return _with_digests(site, _paths(site, camera, date), digests)
+    except Unreadable:
+        raise
+    except OSError:
+        return []
 
 
 _Listing = dict[Path, datetime.datetime]
 """The files of a camera that may belong to a night, in their order, with the times in their names."""
 
 
-def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Path]], dict[str, str]]:
-    """Each camera's files of a night; and why they could not be listed, by camera, where a disk hangs."""
+def _paths_of_night(site: Site, date: datetime.date) -> tuple[dict[str, list[Path]], dict[str, OSError]]:
+    """Each camera's files of a night; and why they could not be listed, by camera, where a disk hangs or fails."""
     listings: dict[str, _Listing] = {}
-    faults: dict[str, str] = {}
+    faults: dict[str, OSError] = {}
     reads = ((camera.id, functools.partial(_listing, site, camera, date)) for camera in site.cameras)
     for name, answer in results_by_camera(reads):
-        if isinstance(answer, TimeoutError):
-            faults[name] = str(answer)
+        if isinstance(answer, OSError):
+            faults[name] = answer
         else:
             listings[name] = answer
     ends: BurstEnds = {}
@@ -202,7 +219,15 @@ def _listing(site: Site, camera: Camera, date: datetime.date) -> _Listing:
         return dict.fromkeys(_paths(site, camera, date), datetime.datetime.combine(date, noon))
     listing: _Listing = {}
     for day in neighbours(date):
-        for path in site.captures.files(camera.id, day):
+        try:
+            paths = site.captures.files(camera.id, day)
+        except Unreadable:
+            raise
+        except OSError:
+            if day == date:
+                raise
+            continue  # a folder of another day
+        for path in paths:
             listing[path] = site.captures.moment(camera.id, path) or datetime.datetime.combine(day, noon)
     return listing
 
@@ -219,17 +244,22 @@ FEW_EXAMPLES = 3
 """How many names of files a message shows."""
 
 
-def files_there(site: Site) -> list[str]:
+def _what_is_there(site: Site) -> str:
     """The names, below the captures' root, of a few files that are there, for a message that none of them is a capture."""
     root = str(site.captures.root)
     names: list[str] = []
+    unreadable: list[OSError] = []
     # lazily: the folder may hold a million files
-    for name in find_untrusted(str(Path(glob.escape(root)) / "**")):
+    for name in find_untrusted(str(Path(glob.escape(root)) / "**"), unreadable.append):
         if is_file(Path(name)):
             names.append(printable(name.removeprefix(f"{root}/"), 120))
         if len(names) == FEW_EXAMPLES:
             break
-    return names
+    if names:
+        return f"there are {', '.join(names)} in {printable(root)}"
+    if unreadable:
+        return f"folder {printable(unreadable[0].filename)} {fault_of_folder(unreadable[0])}"
+    return f"there is no file at all in {printable(root)}"
 
 
 def nothing_matches(site: Site, date: datetime.date) -> str:
@@ -248,11 +278,7 @@ def nothing_matches(site: Site, date: datetime.date) -> str:
             pattern = printable(site.captures.text)
             return f"{printable(undated)} has no valid date or time where captures.pattern ({pattern}) wants them"
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
-    there = files_there(site)
-    shown = "there is no file at all"
-    if there:
-        shown = f"there are {', '.join(there)}"
-    return f"captures.pattern wants {wanted}, and {shown} in {printable(site.captures.root)}"
+    return f"captures.pattern wants {wanted}, and {_what_is_there(site)}"
 
 
 def nights_near(site: Site, date: datetime.date) -> list[datetime.date]:

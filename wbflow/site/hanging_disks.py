@@ -1,12 +1,16 @@
-"""Reading from disks that may hang, as mounts of cameras do when the network fails: no read is waited for for ever."""
+"""Reading from disks that may hang or fail, as mounts of cameras do when the network fails: no read is waited for for ever."""
 
 from __future__ import annotations
 
+import errno
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from typing import TypeVar
+
+from ..errors import WbflowError
+from ..words import printable
 
 ANSWER_SECONDS = 120.0
 """Timeout for listing and reading a camera's folder: if it takes longer, its mount is considered dead."""
@@ -49,17 +53,41 @@ class Reader:
         self._reads.put(None)
 
 
-def results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | TimeoutError]]:
-    """The result of each camera's read, or a TimeoutError if its disk hangs; the other cameras are still read."""
+def results_by_camera(reads: Iterable[tuple[str, Callable[[], T]]]) -> Iterator[tuple[str, T | OSError]]:
+    """The result of each camera's read, or the error if its disk hangs or fails; the other cameras are still read.
+
+    A disk that hangs is a TimeoutError.  What is refused on purpose (a WbflowError) is raised.
+    """
     reader = Reader()
     seconds = ANSWER_SECONDS
     for camera, read in reads:
         try:
             yield camera, reader.read(read, seconds)
+        except WbflowError:
+            raise
         except TimeoutError as error:
             # the thread waits for the disk, perhaps for ever; the next cameras get another one, and less time
             reader.close()
             reader = Reader()
             seconds = REDUCED_ANSWER_SECONDS
             yield camera, error
+        except OSError as error:
+            yield camera, error
     reader.close()
+
+
+_REMEDIES = {
+    errno.EACCES: "give the user who runs wbflow the right to read it",
+    errno.EPERM: "give the user who runs wbflow the right to read it",
+    errno.ENOTDIR: "move what lies there in place of the folder",
+    errno.ELOOP: "its symbolic links lead in a circle: make them anew",
+}
+"""What to do about a folder that cannot be read, by the number of the error."""
+
+
+def fault_of_folder(error: OSError) -> str:
+    """Why a folder cannot be read, and what to do; the words follow its name."""
+    if error.errno is None:  # a TimeoutError of `Reader`, which says it all
+        return str(error)
+    remedy = _REMEDIES.get(error.errno, "check its disk, or its mount and the network")
+    return f"cannot be read: {printable(error.strerror)}; {remedy}"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..cache.untrusted import find_untrusted
+from ..cache.untrusted import find_untrusted, is_folder
 
 _NUMBERS = {"%Y": r"\d{4}", "%j": r"\d{3}", "%f": r"\d{1,6}"} | dict.fromkeys(
     ("%y", "%m", "%d", "%H", "%I", "%M", "%S"), r"\d{2}"
@@ -81,11 +81,16 @@ class Pattern:
     def files(self, camera: str, date: datetime.date) -> list[Path]:
         """A camera's captures of a date, ordered by the times in their names, or by name if these contain no time.
 
-        The date is that in the names; `bursts.py` says to which night they belong.
+        The date is that in the names; `bursts.py` says to which night they belong.  Raises OSError, with the folder as its
+        `filename`, if there is none and a folder in which they may be cannot be read.
         """
         moment = self._moment_reader(camera)
-        names = find_untrusted(self._glob_pattern(camera, date))
-        paths = [path for path in map(Path, names) if not path.is_dir()]
+        unreadable: list[OSError] = []
+        names = find_untrusted(self._glob_pattern(camera, date), unreadable.append)
+        paths = [path for path in map(Path, names) if not is_folder(path)]
+        # where there are some, a folder that cannot be read need not be this camera's: `**` searches many
+        if unreadable and not paths:
+            raise unreadable[0]
         # files without a valid time come first, in the order of their names
         return sorted(paths, key=lambda path: (moment(str(path)) or datetime.datetime.min, path))
 

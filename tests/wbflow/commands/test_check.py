@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -141,3 +142,26 @@ def test_a_model_that_is_not_on_this_machine_is_found_by_check_and_run_before_an
     result = CliRunner().invoke(main, ["run", str(folder), "-q"])
     assert result.exit_code == 2 and "wbflow models get aliked-n32" in result.output
     assert not (folder / ".wbflow").exists()
+
+
+def test_a_folder_that_cannot_be_read_is_named_for_its_camera_and_once_for_all(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    captures = folder / "captures"
+    (captures / "roof").rename(folder / "away")
+    (captures / "roof").symlink_to("roof")
+    code, output = checked(folder)
+    output = " ".join(output.split())
+    assert code == 3 and f"camera roof: folder {captures}/roof cannot be read: Too many levels of symbolic links" in output
+    stat = os.stat
+
+    def refusing(path: os.PathLike[str], **how: bool) -> os.stat_result:
+        if str(path).startswith(f"{captures}/"):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+        return stat(path, **how)
+
+    monkeypatch.setattr(os, "stat", refusing)
+    code, output = checked(folder)
+    output = " ".join(output.split())
+    assert code == 1 and output.count(f"folder {captures} cannot be read: Permission denied") == 1
+    assert "camera roof" not in output

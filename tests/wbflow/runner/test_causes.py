@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
+import os
 import sys
 import threading
 from pathlib import Path
@@ -145,6 +147,22 @@ def test_a_capture_folder_that_does_not_answer_costs_only_its_camera(toy: ToySit
         dead.set()
     reasons = {camera["id"]: camera["reason"] for camera in record["cameras"]}
     assert "roof" in reasons["roof"] and "no answer within" in reasons["roof"]
+    assert [reason for camera, reason in reasons.items() if camera != "roof" and reason] == []
+
+
+def test_a_capture_folder_that_cannot_be_read_costs_only_its_camera(toy: ToySite, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = toy.capture("roof").parent
+    lstat = os.lstat
+
+    def refusing(path: str, **how: Any) -> os.stat_result:
+        if Path(path).parent == folder and "roof" in Path(path).name:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+        return lstat(path, **how)
+
+    monkeypatch.setattr(os, "lstat", refusing)
+    record = toy.run(code=3)
+    reasons = {camera["id"]: camera["reason"] for camera in record["cameras"]}
+    assert f"folder {folder} cannot be read: Permission denied; give the user who runs wbflow" in reasons["roof"]
     assert [reason for camera, reason in reasons.items() if camera != "roof" and reason] == []
 
 

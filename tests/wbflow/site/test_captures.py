@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import errno
 import json
 import os
 import re
@@ -344,3 +345,65 @@ def test_a_fault_of_our_own_is_raised_at_once_and_not_taken_for_a_disk_that_hang
     with pytest.raises(re.error, match="of our own"):
         Reader().read(read, 60.0)
     assert time.monotonic() - start < 10
+
+
+def refused(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the system refuse to list a folder: root may read everything, so its rights cannot be taken away."""
+    scandir = os.scandir
+
+    def refusing(path: str) -> object:
+        if Path(path) == folder:
+            raise OSError(number, os.strerror(number), path)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.EACCES, "cannot be read: Permission denied; give the user who runs wbflow the right to read it"),
+        (errno.EIO, "cannot be read: Input/output error; check its disk, or its mount and the network"),
+        (errno.ESTALE, "cannot be read: Stale file handle; check its disk, or its mount and the network"),
+        (errno.ETIMEDOUT, "cannot be read: Connection timed out; check its disk, or its mount and the network"),
+    ],
+)
+@pytest.mark.parametrize("pattern", ["{camera}/*.jpg", "{camera}/**/*.jpg", "{camera}/{date}_{time}.jpg"])
+def test_a_folder_that_cannot_be_read_costs_only_its_camera(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str, number: int, words: str
+) -> None:
+    s = site(tmp_path, pattern, ["gate/2026-11-19_120000.jpg", "roof/2026-11-19_120000.jpg"])
+    date = datetime.date(2026, 11, 19)
+    refused(tmp_path / "in/roof", number, monkeypatch)
+    assert night(s, date if not s.captures.dated else None) == date
+    found = find_captures(s, date, Digests(None))
+    assert [bool(file.digest) for file in found["gate"]] == [True]
+    (roof,) = found["roof"]
+    assert (roof.name, roof.digest, roof.fault) == (f"folder {tmp_path}/in/roof", "", words)
+
+
+@pytest.mark.parametrize("pattern", ["{camera}/*.jpg", "{camera}/{date}.jpg", "{camera}/{date:%Y/%m}/{date:%d}.jpg"])
+def test_a_file_or_a_loop_of_links_in_place_of_a_folder_is_not_called_a_missing_capture(tmp_path: Path, pattern: str) -> None:
+    s = site(tmp_path, pattern, ["roof"], "[gate, roof, shed]")
+    (tmp_path / "in/gate").symlink_to("gate")
+    found = find_captures(s, datetime.date(2026, 11, 19), Digests(None))
+    assert found["shed"] == [], "a folder that is not there is no fault of its own"
+    assert [file.name for file in found["gate"] + found["roof"]] == [f"folder {tmp_path}/in/gate", f"folder {tmp_path}/in/roof"]
+    assert found["gate"][0].fault.endswith("its symbolic links lead in a circle: make them anew")
+    assert found["roof"][0].fault == "cannot be read: Not a directory; move what lies there in place of the folder"
+
+
+def test_a_folder_that_cannot_be_read_is_no_fault_where_the_captures_are_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s = site(tmp_path, "**/{camera}.jpg", ["new/gate.jpg", "private/x.jpg"])
+    refused(tmp_path / "in/private", errno.EACCES, monkeypatch)
+    found = find_captures(s, datetime.date(2026, 11, 19), Digests(None))
+    assert [file.name for file in found["gate"]] == ["new/gate.jpg"]
+    assert [file.name for file in found["roof"]] == [f"folder {tmp_path}/in/private"]
+
+
+def test_a_pattern_that_matches_nothing_names_a_root_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s = site(tmp_path, "{camera}.jpg", ["gate.jpg"], "[bridge, tower]")
+    refused(tmp_path / "in", errno.EACCES, monkeypatch)
+    assert f"folder {tmp_path}/in cannot be read: Permission denied" in nothing_matches(s, datetime.date(2026, 11, 19))
