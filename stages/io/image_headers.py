@@ -66,7 +66,7 @@ def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
         offset = end
 
 
-def _next_marker(data: bytes, offset: int) -> int:
+def _next_marker(data: bytes | bytearray, offset: int) -> int:
     """Offset of the next marker (0xFF, then neither 0x00 nor 0xFF), or of the end of the data."""
     while True:
         offset = data.find(b"\xff", offset)
@@ -85,21 +85,32 @@ def jpeg_end(data: bytes) -> int | None:
     """
     if data[:2] != b"\xff\xd8":
         return None
-    offset = 2
+    offset, is_complete = read_jpeg(data, 2)
+    return offset if is_complete else None
+
+
+def read_jpeg(data: bytes | bytearray, offset: int) -> tuple[int, bool]:
+    """Read a JPEG marker by marker, as `jpeg_end` does, from an offset on: (offset, is it complete?).
+
+    offset: behind the start marker, or what an earlier call returned when less had arrived.  The offset that is returned is that
+    behind the picture, or where to read on when more has arrived: no byte is read twice, however large the picture is.
+    """
     while True:
-        offset = _next_marker(data, offset)
-        if offset >= len(data):
-            return None
+        place = _next_marker(data, offset)
+        if place >= len(data):
+            # the last byte may be the first one of a marker; the segment that is read may end behind the data
+            return max(offset, len(data) - 1), False
+        offset = place
         marker = data[offset + 1]
         if marker == _START_OF_IMAGE:  # the next picture: this one has no end marker
-            return offset
+            return offset, True
         if marker == _END_OF_IMAGE:
-            return offset + 2
+            return offset + 2, True
         if marker in _RESTARTS or marker == 0x01:
             offset += 2
             continue
         if offset + 4 > len(data):
-            return None
+            return offset, False
         # every other marker begins a segment with a length; the data of a scan follow its segment
         offset += 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
 

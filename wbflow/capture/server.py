@@ -34,6 +34,8 @@ Shot = tuple[bytes, float | None]
 
 MOST_PICTURE_BYTES = 100_000_000
 """Largest picture that is read, bytes."""
+MOST_OTHER_BYTES = 10_000_000
+"""Most bytes that are read while no picture begins: a page, or compressed zeros, may have no end."""
 _CHUNK_BYTES = 65536
 """Most bytes of an answer that are read at once."""
 _PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -115,39 +117,91 @@ def _shots_of(response: requests.Response, remaining: Sequence[float]) -> Iterat
 def _pictures(response: requests.Response) -> Iterator[tuple[bytes, str]]:
     """Each complete JPEG or PNG file in a response, and the text before it; what lies between them is skipped.
 
-    Raises OSError if the response ends without any, and with a part of one.
+    Raises OSError if the response ends without any, and with a part of one, or if it goes on and on without one.
     """
-    data = bytearray()  # what has arrived behind the last complete picture
-    searched = 0  # how much of it has been searched for the end of a picture
+    reader = _PictureReader()
     size = 0
     count = 0
     beginning = b""
     for chunk in _chunks(response):
         size += len(chunk)
         beginning = beginning or bytes(chunk[:60])
-        data += chunk
+        reader.add(chunk)
         # a chunk may complete several small pictures
-        while True:
-            start = _start(data)
-            end = None
-            if start >= 0:
-                end = _end(data, start, searched)
-            if end is None:
-                break
-            picture = bytes(data[start:end])
-            header = data[:start].decode("latin-1")
-            del data[:end]
-            searched = 0
-            if picture.endswith((_JPEG_END, _PNG_END)):  # otherwise the next picture has begun before the end of this one
-                count += 1
-                yield picture, header
-        searched = len(data)
-        if len(data) > MOST_PICTURE_BYTES:
-            raise OSError(f"sends a picture of more than {MOST_PICTURE_BYTES / 1e6:.0f} MB, or none at all")
-    if _start(data) >= 0 and not count:
-        raise OSError(f"sent an incomplete picture ({len(data):,} bytes)")
+        for picture, header in reader.complete():
+            count += 1
+            yield picture, header
+        if not reader.has_begun and reader.waiting_bytes > MOST_OTHER_BYTES:
+            raise OSError(_other_answer(response, size, beginning))
+        if reader.waiting_bytes > MOST_PICTURE_BYTES:
+            raise OSError(f"sends a picture of more than {MOST_PICTURE_BYTES / 1e6:.0f} MB")
+    if reader.has_begun and not count:
+        raise OSError(f"sent an incomplete picture ({reader.waiting_bytes:,} bytes)")
     if not count:
         raise OSError(_other_answer(response, size, beginning))
+
+
+class _PictureReader:
+    """Finds the pictures in bytes that arrive piece by piece.  Each byte is searched once: a body may have no end."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()  # what has arrived behind the last complete picture
+        self._start: int | None = None  # where a picture begins in it
+        self._searched = (
+            0  # how much of it has been searched for the beginning of a picture, or for the end of the one that began
+        )
+
+    @property
+    def has_begun(self) -> bool:
+        """Has a picture begun that is not complete yet?"""
+        return self._start is not None
+
+    @property
+    def waiting_bytes(self) -> int:
+        """How many bytes have arrived behind the last complete picture."""
+        return len(self._data)
+
+    def add(self, chunk: bytes) -> None:
+        """Take what has arrived."""
+        self._data += chunk
+
+    def complete(self) -> Iterator[tuple[bytes, str]]:
+        """The pictures that are complete now, each with the text before it."""
+        while True:
+            if self._start is None:
+                self._find_start()
+            if self._start is None:
+                return
+            end = self._find_end(self._start)
+            if end is None:
+                return
+            picture = bytes(self._data[self._start : end])
+            header = self._data[: self._start].decode("latin-1")
+            del self._data[:end]
+            self._start = None
+            self._searched = 0
+            if picture.endswith((_JPEG_END, _PNG_END)):  # otherwise the next picture has begun before the end of this one
+                yield picture, header
+
+    def _find_start(self) -> None:
+        """Search for the beginning of a picture, JPEG or PNG."""
+        # the first bytes of the mark may have come with the chunk before
+        since = max(0, self._searched - len(_PNG_START) + 1)
+        starts = [self._data.find(mark, since) for mark in (_JPEG_START, _PNG_START)]
+        self._start = min((start for start in starts if start >= 0), default=None)
+        self._searched = len(self._data)
+        if self._start is not None:
+            self._searched = self._start + 2
+
+    def _find_end(self, start: int) -> int | None:
+        """The offset behind the picture that begins at `start`; None if it is not complete yet."""
+        if self._data.startswith(_PNG_START, start):
+            place = self._data.find(_PNG_END, max(start, self._searched - len(_PNG_END) + 1))
+            self._searched = len(self._data)
+            return None if place < 0 else place + len(_PNG_END)
+        read_jpeg = load("wbflow_stages.io.image_headers:read_jpeg")
+        self._searched, is_complete = read_jpeg(self._data, self._searched)
+        return self._searched if is_complete else None
 
 
 def _chunks(response: requests.Response) -> Iterator[bytes]:
@@ -167,39 +221,16 @@ def _chunks(response: requests.Response) -> Iterator[bytes]:
         return  # the connection has ended early: the reader of pictures finds out what is missing
 
 
-def _start(data: bytearray) -> int:
-    """Where the first picture begins; -1 if none does."""
-    starts = [place for place in (data.find(_JPEG_START), data.find(_PNG_START)) if place >= 0]
-    return min(starts, default=-1)
-
-
-def _end(data: bytearray, start: int, searched: int) -> int | None:
-    """The offset behind the picture that begins at `start`; None if it is not complete yet.
-
-    searched: bytes in which no end was found before.  The structure of a JPEG is read only when new bytes hold an end marker,
-    since that takes as long as the picture is large.
-    """
-    if data.startswith(_PNG_START, start):
-        place = data.find(_PNG_END, start)
-        if place < 0:
-            return None
-        return place + len(_PNG_END)
-    if _JPEG_END not in data[max(start, searched - 1) :]:  # its first byte may have come with the chunk before
-        return None
-    jpeg_end = load("wbflow_stages.io.image_headers:jpeg_end")
-    length = jpeg_end(bytes(data[start:]))
-    if length is None:
-        return None
-    return start + int(length)
-
-
 def _other_answer(response: requests.Response, size: int, beginning: bytes) -> str:
     """What a response holds instead of a picture, for the operator."""
     if not size:
         return f"sends an empty picture (status {response.status_code})"
     kind = response.headers.get("Content-Type", "no type")
     text = "".join(letter if letter.isprintable() else " " for letter in beginning.decode("latin-1")).strip()
-    return f"sends something else than a picture (status {response.status_code}, {kind}, {size:,} bytes: {text[:40]!r})"
+    amount = f"{size:,} bytes"
+    if size > MOST_OTHER_BYTES:
+        amount = f"no picture begins in {size / 1e6:.0f} MB, and more comes"
+    return f"sends something else than a picture (status {response.status_code}, {kind}, {amount}: {text[:40]!r})"
 
 
 def _part_time(header: str) -> float | None:

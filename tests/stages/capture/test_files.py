@@ -14,7 +14,7 @@ from PIL import Image
 from wbflow_stages.capture.files import NotAnImage, TruncatedImage, decode, decoded_mask
 from wbflow_stages.capture.video import one_picture
 from wbflow_stages.frames import clean_frame
-from wbflow_stages.io.image_headers import SCAN, jpeg_end, jpeg_segments
+from wbflow_stages.io.image_headers import SCAN, jpeg_end, jpeg_segments, read_jpeg
 from wbflow_stages.types import Capture, Lens, Uint8s
 
 HEIGHT, WIDTH = 96, 160
@@ -172,3 +172,14 @@ def test_the_end_of_a_jpeg_is_found_behind_thumbnails_and_before_what_follows() 
     for whole in (JPEG, nested, written(PICTURE, "JPEG", progressive=True)):
         assert jpeg_end(whole + b"\r\n--frame\r\n" + JPEG) == len(whole)
         assert jpeg_end(whole[:-1]) is None
+
+
+@pytest.mark.parametrize("step", [1, 2, 7, 1000])
+def test_a_jpeg_is_read_on_where_reading_it_has_stopped(step: int) -> None:
+    thumbnail = b"\xff\xe1" + struct.pack(">H", len(JPEG) + 2) + JPEG
+    whole = JPEG[:2] + thumbnail + JPEG[2:]
+    offset, is_complete = 2, False
+    for end in range(2, len(whole) + step, step):
+        offset, is_complete = read_jpeg(whole[:end], offset)
+        assert is_complete == (end >= len(whole))
+    assert offset == len(whole)

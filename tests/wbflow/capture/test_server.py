@@ -11,6 +11,7 @@ import ssl
 import subprocess
 import time
 import urllib.parse
+import zlib
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -193,6 +194,20 @@ class Camera(BaseHTTPRequestHandler):
     def _empty(self, _: str) -> None:
         self._send(b"")
 
+    def _endless(self, content: str) -> None:
+        """A body without an end in which no picture is, or in which one begins that never ends."""
+        self.send_response(200)
+        self.send_header("Content-Type", "image/jpeg")
+        if content == "bomb":  # gigabytes of zeros
+            self.send_header("Content-Encoding", "gzip")
+        self.end_headers()
+        self.close_connection = True
+        packer = zlib.compressobj(9, zlib.DEFLATED, 31)
+        zeros = bytes(1 << 20)
+        self.wfile.write({"picture": PICTURES[0][:-2]}.get(content, b""))
+        while True:
+            self.wfile.write({"text": b"<p>Login " * 9999, "bomb": packer.compress(zeros)}.get(content, zeros))
+
     def _send(self, data: bytes, fields: dict[str, str] | None = None) -> None:
         self.send_response_only(200)
         for name, value in ({"Content-Type": "image/jpeg"} | (fields or {})).items():
@@ -307,6 +322,23 @@ def test_the_reason_says_what_was_answered(address: str, path: str, access: Acce
     with pytest.raises(OSError, match=words) as caught:
         taken(f"{address}/{path}", access)
     assert "wrong" not in str(caught.value) and "127.0.0.1" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("zeros", r"status 200, image/jpeg, no picture begins in 10 MB, and more comes"),
+        ("text", r"no picture begins in 10 MB, and more comes: '<p>Login <p>Login"),
+        ("bomb", r"no picture begins in 10 MB, and more comes"),
+        ("picture", r"sends a picture of more than 100 MB"),
+    ],
+)
+def test_a_body_without_an_end_is_given_up(address: str, content: str, words: str) -> None:
+    begun = time.thread_time()
+    with pytest.raises(OSError, match=words):
+        taken(f"{address}/endless/{content}")
+    # CPU time of this thread, which other work on the machine does not change: searching from the start took minutes
+    assert time.thread_time() - begun < 5
 
 
 def certificate(folder: Path, name: str) -> tuple[Path, Path]:
