@@ -180,22 +180,25 @@ def _write(site: Site, delivery: Delivery, shot: Shot) -> None:
         delivery.own_clock = False
         delivery.clock_error_s = moment - now
         moment = now
-    path = _free_name(site, delivery.camera, site.local(moment))
+    path = _free_name(site, delivery, site.local(moment))
     write_atomic(path, data)
     os.utime(path, (moment, moment))
     delivery.files.append(path)
 
 
-def _free_name(site: Site, camera: str, local: datetime.datetime) -> Path:
-    """The path of a capture.  When clocks are set back, an hour occurs twice: if a file of the first pass has the name, the name
-    of the next free second is used, so that nothing is overwritten."""
-    path = site.captures.name(camera, local)
-    if not local.fold:  # not in the second pass of an hour
+def _free_name(site: Site, delivery: Delivery, local: datetime.datetime) -> Path:
+    """The path of a capture, which overwrites none that it must not: if that has the name, the name of the next free second.
+
+    A name has the resolution of a second, and two pictures may come within one: a late one, or one of a clock that stutters.
+    When clocks are set back, an hour occurs twice.
+    """
+    path = site.captures.name(delivery.camera, local)
+    if not local.fold and path not in delivery.files:
         return path
     for seconds in range(1, 3600):
         if not path.exists():
             break
-        path = site.captures.name(camera, local + datetime.timedelta(seconds=seconds))
+        path = site.captures.name(delivery.camera, local + datetime.timedelta(seconds=seconds))
     return path
 
 

@@ -6,7 +6,7 @@ import base64
 import datetime
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -19,6 +19,8 @@ from click.testing import CliRunner, Result
 import wbflow
 from tests.helpers.camera_servers import PASSWORD, USER, http_camera, picture, rtsp_camera, writing_into
 from wbflow.capture import take as taking
+from wbflow.capture.server import Access, Shot
+from wbflow.capture.shots import shots
 from wbflow.cli.main import main
 from wbflow.errors import ExitCode
 from wbflow.site.pattern import Pattern
@@ -26,7 +28,6 @@ from wbflow.site.pattern import Pattern
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(taking, "TIMEOUT_SECONDS", 1.5)
     monkeypatch.setattr(taking, "_BETWEEN_TRIES", 0.1)
     monkeypatch.delenv(taking.CREDENTIALS, raising=False)
 
@@ -87,7 +88,14 @@ def test_cameras_of_all_kinds_are_captured_at_once(tmp_path: Path, http: str, rt
         ("down", "cannot be reached"),
     ],
 )
-def test_a_broken_camera_is_named_and_the_others_are_captured(tmp_path: Path, http: str, way: str, words: str) -> None:
+def test_a_broken_camera_is_named_and_the_others_are_captured(
+    tmp_path: Path, http: str, monkeypatch: pytest.MonkeyPatch, way: str, words: str
+) -> None:
+    def ask_impatiently(url: str, access: Access, moments: Sequence[float], patience: float) -> Iterator[Shot]:
+        # only of the camera that never answers: the others have all the time that a busy machine takes
+        return shots(url, access, moments, 0.3 if url.endswith("/hang") else patience)
+
+    monkeypatch.setattr(taking, "shots", ask_impatiently)
     broken = {"missing-login": f"{http}/basic", "down": "http://127.0.0.1:9/snapshot"}.get(way, f"{http}/{way}")
     keys: dict[str, Any] = {"credentials": None} if way == "missing-login" else {}
     result = capture(tmp_path, {"gate": f"{http}/snapshot", "roof": broken}, **keys)
@@ -152,6 +160,18 @@ def test_new_captures_get_names_that_a_run_finds(pattern: str, name: str, tmp_pa
     path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
     assert named.files("gate", moment.date()) == [path]
+
+
+def test_pictures_that_come_within_one_second_do_not_overwrite_each_other(
+    tmp_path: Path, http: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # a camera that is late with its first picture: both are sent, and dated, within one second
+    late = [(picture(100), None), (picture(200), None)]
+    monkeypatch.setattr(taking, "shots", lambda *asked: iter(late))
+    monkeypatch.setattr(time, "time", lambda: 1_795_000_000.25)
+    result = capture(tmp_path, {"gate": f"{http}/snapshot"}, "{camera}/{date}_{time}.jpg")
+    assert result.exit_code == 0 and "2 of 2 pictures" in result.output
+    assert [file.read_bytes() for file in taken(tmp_path, "gate")] == [late[0][0], late[1][0]]
 
 
 def test_a_pattern_that_gives_several_pictures_one_name_is_refused(tmp_path: Path, http: str) -> None:
