@@ -1,4 +1,4 @@
-"""Observations from recordings: a board that is carried through the views of fixed cameras, in all of them at the same time.
+"""Observations from recordings: a lamp or a board that is carried through the views of fixed cameras, all at the same time.
 
 Reference: T. Svoboda, D. Martinec, T. Pajdla, A Convenient Multi-Camera Self-Calibration for Virtual Environments, Presence 2005.
 """
@@ -15,6 +15,7 @@ from .capture.files import BadCapture
 from .core.cameras import scaled_intrinsics
 from .sighted.boards import DICTIONARIES, Board, board_corners, differences, is_told_from_half_turn
 from .sighted.corners import board_of_recordings, find_corners
+from .sighted.lamp import find_lamp
 from .sighted.picture import found_picture
 from .sighted.rows import Rows
 from .sighted.video import Recording, open_recording
@@ -33,7 +34,7 @@ def observe_recordings(
     times: Mapping[str, Float64s] | None = None,
     lenses: Mapping[str, Lens] | None = None,
 ) -> Sightings:
-    """What recordings of several cameras, made at the same time, show of a board.
+    """What recordings of several cameras, made at the same time, show of a lamp or a board.
 
     Places are in pixels of the camera's captures: of the size that its lens states, otherwise that of the recording.  Times are
     those of the videos, or `times`; that recordings began at different moments is left to the solver.  Raises ValueError if no
@@ -47,8 +48,6 @@ def observe_recordings(
         tell it.
     lenses : as the site states them.
     """
-    if board is None:
-        raise ValueError("lamps are not looked for yet: state the board")
     opened: dict[str, Recording] = {}
     unusable: list[str] = []
     for camera, file in recordings.items():
@@ -61,7 +60,10 @@ def observe_recordings(
             opened[camera] = recording
     if len(opened) < 2:
         raise ValueError("; ".join([f"recordings of two cameras or more are needed, not of {len(opened)}", *unusable]))
-    found = _observe_board(Board(**board), opened, lenses or {})  # type: ignore[arg-type]
+    if board is None:
+        found = _observe_lamp(opened, lenses or {})
+    else:
+        found = _observe_board(Board(**board), opened, lenses or {})  # type: ignore[arg-type]
     return replace(found, messages=(*unusable, *found.messages))
 
 
@@ -97,6 +99,24 @@ def _observe_board(stated: Board, recordings: Mapping[str, Recording], lenses: M
     corners = board_corners(printed)
     names = [f"corner{k}" for k in range(len(corners))]
     return Sightings(_joined(rows, names), ThingSurvey(tuple(names), lengths=_lengths(corners)), pictures, tuple(messages))
+
+
+def _observe_lamp(recordings: Mapping[str, Recording], lenses: Mapping[str, Lens]) -> Sightings:
+    """The track of a lamp."""
+    messages: list[str] = []
+    rows: dict[str, Rows] = {}
+    pictures: dict[str, bytes] = {}
+    for camera, recording in recordings.items():
+        found = find_lamp(recording, _MOST_PER_S)
+        text = f"{camera}: the lamp is found in {len(found.rows)} of {found.frames} frames"
+        if len(found.rows) == 0:
+            text = f"{camera}: no lamp is found: nothing bright moves before the background in {found.frames} frames"
+        messages.append(text)
+        pictures[camera] = found_picture(found.picture, found.rows, text, is_track=True)
+        rows[camera] = found.rows.with_motion().scaled(_factor(lenses.get(camera, Lens()), recording.size))
+    if not any(map(len, rows.values())):
+        raise ValueError("no recording shows a lamp: nothing bright moves before the background of any camera")
+    return Sightings(_joined(rows, ["lamp"]), ThingSurvey(), pictures, tuple(messages))
 
 
 def _scaled_lens(lens: Lens, size: tuple[int, int]) -> Lens:
