@@ -116,7 +116,7 @@ def _observe_lamp(recordings: Mapping[str, Recording], lenses: Mapping[str, Lens
         rows[camera] = found.rows.with_motion().scaled(_factor(lenses.get(camera, Lens()), recording.size))
     if not any(map(len, rows.values())):
         raise ValueError("no recording shows a lamp: nothing bright moves before the background of any camera")
-    return Sightings(_joined(rows, ["lamp"]), ThingSurvey(), pictures, tuple(messages))
+    return Sightings(_joined(rows, ["lamp"]), ThingSurvey(("lamp",)), pictures, tuple(messages))
 
 
 def _scaled_lens(lens: Lens, size: tuple[int, int]) -> Lens:
