@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from wbflow_stages.contracts.reasons import Reason
+
 from ..pipeline.summaries import PosesSummary
 from ..records.findings import FINDINGS, Down, Finding, finding
 from ..records.record import CameraRecord, PairRecord, RunRecord
@@ -15,8 +17,16 @@ from ..words import counted
 from .blame import blame
 from .facts import Facts
 from .pose_votes import among_stated, is_refuted
-from .wording import listed, most_common_reason, shortened
+from .wording import LEARNED_KEYPOINTS, listed, most_common_reason, shortened
 
+_FEW_MATCHES = {
+    Reason.TOO_FEW_MATCHES,
+    Reason.TOO_FEW_INLIERS,
+    Reason.WRONG_MATCHES,
+    Reason.UNLIKELY_GEOMETRY,
+    Reason.UNCERTAIN_ROWS,
+}
+"""Reasons of rejected pairs that more matches may remove."""
 _OF_ITS_TASK = {Cause.TOO_SLOW, Cause.WORKER_LOST, Cause.OUT_OF_MEMORY}
 """Causes that lie in a task, not in the camera."""
 
@@ -34,6 +44,8 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             continue
         if facts.disk_full and (camera.health is None or camera.health.ok):
             continue  # without its own results and those of its pairs, nothing can be said of it
+        if facts.sift_alone and _lacks_matches(entry, camera, record):
+            entry = replace(entry, remedy=f"{entry.remedy}; or {LEARNED_KEYPOINTS}")
         if entry.kind == "camera-no-usable-pair":
             may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
             if may_be_dense or camera.id in excused:
@@ -45,6 +57,17 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
             text += f"; {down.words(left_out=not camera.ok)}"
         figures = {**entry.figures, "since": down.since, "nights": down.nights}
         yield replace(entry, text=text, figures=figures)
+
+
+def _lacks_matches(entry: Finding, camera: CameraRecord, record: RunRecord) -> bool:
+    """Does a camera have no pair, and so this finding, because too little of what it sees was matched?"""
+    if entry.kind == "camera-unpaired":
+        return camera.figures.pose_from != "stated"  # else pairs are chosen by the poses, not by what matches
+    if entry.kind not in {"camera-no-usable-pair", "camera-unsolved"}:
+        return False
+    tried = _tried(camera.id, record)
+    few = [pair for pair in tried if pair.code in _FEW_MATCHES]
+    return not any(pair.ok or pair.matched for pair in tried) and 2 * len(few) > len(tried)
 
 
 def with_down(camera: CameraRecord, record: RunRecord, earlier: Sequence[RunRecord]) -> CameraRecord:
@@ -118,7 +141,7 @@ def _pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     pairs = record.pairs_of(camera.id)
     if record.pairs and not pairs:  # without any pairs, the night has a finding of its own
         return finding("camera-unpaired", subject)
-    tried = [pair for pair in pairs if pair.outcome != "skipped" and pair.dense is not False]
+    tried = _tried(camera.id, record)
     unconfirming = _unconfirming(camera.id, tried, record)
     if unconfirming:
         names = listed(pair.name for pair in unconfirming)
@@ -134,6 +157,11 @@ def _pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     usable = {str(Measure.PAIRS): 0}
     planned = {str(Measure.PAIRS): len(tried)}
     return finding("camera-no-usable-pair", subject, usable, planned, remedy, reason=reason)
+
+
+def _tried(camera: str, record: RunRecord) -> list[PairRecord]:
+    """Return the pairs of a camera that were worked on."""
+    return [pair for pair in record.pairs_of(camera) if pair.outcome != "skipped" and pair.dense is not False]
 
 
 def _unconfirming(camera: str, tried: Sequence[PairRecord], record: RunRecord) -> list[PairRecord]:

@@ -40,6 +40,8 @@ class Facts:
     """What the site file expects of good nights."""
     still_zones: frozenset[str] = frozenset()
     """Names of the zones in which the site file expects no change."""
+    sift_alone: bool = False
+    """Does the site use no learned model, nor keypoints of its own?"""
     earlier: tuple[RunRecord, ...] = ()
     """The runs before this one, newest first, one for each night."""
 

@@ -16,13 +16,14 @@ from dataclasses import replace
 
 from ..cache.atomic import free_bytes
 from ..errors import ExitCode
-from ..pipeline.stages import FUSE
+from ..pipeline.stages import FEATURES, FUSE, MATCHES
 from ..records.findings import FINDINGS, Baseline, Finding, Level, Verdict
 from ..records.record import RunRecord
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.disk import night_bytes
 from ..runner.night import Night
 from ..runner.state import Cause, State
+from ..site.models import Site
 from ..task import Task
 from .acknowledge import name_of, split, with_known
 from .amounts import check_amounts, check_cloud
@@ -93,7 +94,15 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
         calibration_change=night.calibration_change,
         expected=night.site.settings.expect,
         still_zones=frozenset(zone.name for zone in night.site.settings.zones or () if zone.expect == "none"),
+        sift_alone=_uses_sift_alone(night.site),
     )
+
+
+def _uses_sift_alone(site: Site) -> bool:
+    """Does a site use no learned model, nor keypoints of its own?"""
+    features = site.stages[FEATURES]
+    has_model = bool(features.files or site.stages[MATCHES].files)
+    return features.use is None and ":" not in features.parameters.get("detector", "") and not has_model
 
 
 def judge_run(record: RunRecord, night: Night, facts: Facts) -> RunRecord:

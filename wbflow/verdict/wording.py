@@ -10,6 +10,12 @@ from ..records.record import PairRecord
 MOST_LETTERS = 200
 """Longest reason in a finding, in characters."""
 
+LEARNED_KEYPOINTS = (
+    "learned keypoints match views that are further apart: python -m pip install 'wbflow[onnx]', wbflow models get aliked-n32, "
+    "and in the site file  stages: {features: {detector: sift+onnx, model: aliked-n32}}"
+)
+"""What may help a camera whose views and those of the others have too few matches."""
+
 
 def shortened(reason: str) -> str:
     """Limit the length of a reason, which may name every file; the record of the camera, pair or task contains all of it."""

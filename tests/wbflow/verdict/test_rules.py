@@ -352,6 +352,34 @@ def test_the_remedy_for_a_camera_without_a_pair_doubts_only_a_stated_pose(known:
     assert ("its pose is not the one in the site file" in finding.remedy) is (known == "stated")
 
 
+@pytest.mark.parametrize(
+    ("code", "sift_alone", "is_proposed"),
+    [("too-few-inliers", True, True), ("too-few-inliers", False, False), ("pure-rotation", True, False)],
+)
+def test_learned_keypoints_are_proposed_to_a_site_without_them_where_too_few_matches_leave_a_camera_without_a_pair(
+    code: str, sift_alone: bool, is_proposed: bool
+) -> None:
+    tried = [replace(p, outcome="rejected", code=code, matched=False) if "roof" in p.cameras else p for p in EVERY_PAIR]
+    facts = Facts(sift_alone=sift_alone)
+    found = [only(night(pairs=tried, facts=facts))]
+    unsolved = [*map(camera, NAMES[:3]), replace(camera("roof"), outcome="unsolved", code=Cause.UNSOLVED)]
+    found.append(only(night(cameras=unsolved, pairs=tried, facts=facts)))
+    assert [finding.kind for finding in found] == ["camera-no-usable-pair", "camera-unsolved"]
+    for finding in found:
+        assert ("wbflow models get aliked-n32" in finding.remedy) is is_proposed
+        assert ("detector: sift+onnx, model: aliked-n32" in finding.remedy) is is_proposed
+
+
+@pytest.mark.parametrize(("pose_from", "is_proposed"), [("matches", True), ("stated", False)])
+def test_learned_keypoints_are_proposed_for_a_camera_in_no_pair_unless_poses_chose_the_pairs(
+    pose_from: str, is_proposed: bool
+) -> None:
+    cameras = [*map(camera, NAMES[:3]), camera("roof", pose_from=pose_from)]
+    finding = only(night(cameras=cameras, pairs=without("roof"), facts=Facts(sift_alone=True)))
+    assert finding.kind == "camera-unpaired"
+    assert ("learned keypoints" in finding.remedy) is is_proposed
+
+
 def rejected_pair(left: str, right: str, given: float, beside: float) -> PairRecord:
     """A pair with stated poses, rejected by dense matching; given, beside: shares that match on the stated rows and eight off."""
     figures = PairFigures(known="stated", row_share=given, row_chance=beside)
