@@ -94,11 +94,11 @@ def facts_of(ended: EndedNight, interrupted: bool) -> Facts:
         calibration_change=night.calibration_change,
         expected=night.site.settings.expect,
         still_zones=frozenset(zone.name for zone in night.site.settings.zones or () if zone.expect == "none"),
-        sift_alone=_uses_sift_alone(night.site),
+        sift_alone=uses_sift_alone(night.site),
     )
 
 
-def _uses_sift_alone(site: Site) -> bool:
+def uses_sift_alone(site: Site) -> bool:
     """Does a site use no learned model, nor keypoints of its own?"""
     features = site.stages[FEATURES]
     has_model = bool(features.files or site.stages[MATCHES].files)

@@ -14,11 +14,12 @@ from wbflow.pipeline.summaries import CameraFigures, CoverageSummary, PairFigure
 from wbflow.records.findings import FINDINGS, Finding, Verdict
 from wbflow.records.record import CameraRecord, CloudRecord, PairRecord, RunRecord, Seconds, TaskCounts
 from wbflow.runner.state import Cause, State
+from wbflow.site.load import load_site
 from wbflow.site.models import Expected
 from wbflow.task import Task
 from wbflow.verdict.baseline import appearance_of, baseline_before, baseline_of
 from wbflow.verdict.facts import Facts
-from wbflow.verdict.rules import judge
+from wbflow.verdict.rules import judge, uses_sift_alone
 from wbflow_stages.contracts.camera_figures import Health
 from wbflow_stages.contracts.pose_figures import CalibrationCheck, PoseIssue
 
@@ -368,6 +369,27 @@ def test_learned_keypoints_are_proposed_to_a_site_without_them_where_too_few_mat
     for finding in found:
         assert ("wbflow models get aliked-n32" in finding.remedy) is is_proposed
         assert ("detector: sift+onnx, model: aliked-n32" in finding.remedy) is is_proposed
+
+
+@pytest.mark.parametrize(
+    ("stages", "is_so"),
+    [
+        ("", True),
+        ("features: {detector: sift}, matches: {matcher: mutual}", True),
+        ("features: {detector: sift+onnx, model: mine.onnx}", False),
+        ("matches: {matcher: onnx, model: mine.onnx}", False),
+        ("features: {detector: 'mine:detect'}", False),
+        ("features: {use: 'mine:detect'}", False),
+    ],
+)
+def test_a_site_uses_sift_alone_unless_it_has_a_model_or_keypoints_of_its_own(tmp_path: Path, stages: str, is_so: bool) -> None:
+    (tmp_path / "mine.onnx").write_bytes(b"weights")
+    (tmp_path / "mine.py").write_text("def detect(frame):\n    return None\n")
+    file = tmp_path / "site.yaml"
+    file.write_text(
+        f"site: yard\ncaptures: {{root: ., pattern: '{{camera}}.jpg'}}\ncameras: [gate, roof]\nstages: {{{stages}}}\n"
+    )
+    assert uses_sift_alone(load_site(file)) is is_so
 
 
 @pytest.mark.parametrize(("pose_from", "is_proposed"), [("matches", True), ("stated", False)])
