@@ -26,7 +26,7 @@ from .limits import Limits, machine_memory
 from .options import Options, worker_roots
 from .spec import TaskSpec
 from .state import Cause, State
-from .worker import FinishedTask, run_chain
+from .worker import FinishedTask, run_chain, run_chain_in_cluster
 
 PROGRESS_SECONDS = 0.5
 """Interval at which the progress files of running chains are read."""
@@ -70,8 +70,8 @@ class _Submitted:
             text = self.progress.read_text(errors="replace")
         except OSError:
             return
-        # before the first task, number, text, number, text, ...
-        _, *parts = _BEGUN.split(text)
+        # text before the first task (of another thread of the process), then number, text, number, text, ...
+        parts = ["0", *_BEGUN.split(text)]
         for number, printed in zip(parts[::2], parts[1::2], strict=True):
             if printed.strip():
                 yield self.tasks[self._position(number)], printable(printed.strip(), LONGEST_TRACE)
@@ -146,11 +146,18 @@ class Dispatcher:
         while self._executor and self._queue and self._can_begin(self._queue[0]):
             specs = self._queue.pop(0)
             chain = _Submitted(specs, self._cache.work.progress / str(next(self._numbers)))
-            seconds = None
-            if isinstance(self._executor, Processes):  # only a process of its own can be ended after its time
-                seconds = {spec.task.stage: self.limits.seconds_for(spec.task.stage) for spec in specs}
-            future = self._executor.submit(run_chain, specs, self._cache, chain.progress, seconds)
-            self._running[future] = chain
+            self._running[self._submit(self._executor, chain)] = chain
+
+    def _submit(self, executor: Executor, chain: _Submitted) -> Future[list[FinishedTask]]:
+        """Submit a chain in the way that its executor allows."""
+        specs = chain.specs
+        is_elsewhere = not (self._options.scheduler or "").startswith("inproc:")  # else it would silence this process
+        if isinstance(executor, Cluster) and is_elsewhere:
+            return executor.submit(run_chain_in_cluster, specs, self._cache, chain.progress)
+        seconds = None
+        if isinstance(executor, Processes):  # only a process of its own can be ended after its time
+            seconds = {spec.task.stage: self.limits.seconds_for(spec.task.stage) for spec in specs}
+        return executor.submit(run_chain, specs, self._cache, chain.progress, seconds)
 
     def _can_begin(self, specs: list[TaskSpec]) -> bool:
         """Is nothing running, or do workers and memory allow another chain, and has none of them lost a worker before?"""

@@ -316,10 +316,15 @@ def _in_cluster(roots: Mapping[Path, Path], version: str, function: Callable[...
     return translate_paths(finished, {remote: local for local, remote in roots.items()})
 
 
+_PARSING = threading.Lock()
+"""Python 3.11 counts the depth of its parser for all threads together, and fails if two parse at once (CPython issue 106905)."""
+
+
 def _same_code(spec: TaskSpec) -> bool:
     """Is the code of a task on this machine the code that is part of its cache key?"""
     try:
-        return code_of(stage_named(spec.task.stage), spec.function, spec.method, _reader(spec.folder)) == spec.code
+        with _PARSING:
+            return code_of(stage_named(spec.task.stage), spec.function, spec.method, _reader(spec.folder)) == spec.code
     except FunctionError:
         return False
 

@@ -12,11 +12,10 @@ import faulthandler
 import functools
 import os
 import resource
-import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from ..plugins import load, make_importable
 from ..site.capture_files import CaptureFile
 from ..task import Task
 from ..words import DISK_FULL_REMEDY, LONGEST_TRACE, printable
+from .output import output_into
 from .spec import Files, Input, Joined, Stored, TaskSpec, Value
 from .state import Cause, Outcome, State, cached_state
 
@@ -64,17 +64,17 @@ def progress_reporter(path: Path, time_limits: Mapping[str, float] | None) -> It
 
     It takes the number and the stage of a task.  `faulthandler` writes to the same file if the process crashes, or if a task
     exceeds its time limit: it then ends the process, even if Python hangs.  So does, for the run's log, whatever prints to stdout
-    or stderr meanwhile: libraries of images and videos write there, and cron would mail it every night.  time_limits: seconds by
-    stage; None if the process also does other work, and must be neither ended nor silenced.
+    or stderr meanwhile.  time_limits: seconds by stage; None if the process also does other work, and must be neither ended nor
+    silenced.
     """
     try:
         file = path.open("a")  # every writer appends: none overwrites what another one has written
     except OSError:  # a full disk; the tasks report it themselves
         file = NO_FILE.open("a")
-    restore: Callable[[], None] | None = None
+    printed = ExitStack()
     if time_limits is not None:
         faulthandler.enable(file)
-        restore = _redirect_output(file.fileno())
+        printed.enter_context(output_into(path))
 
     def begin(number: int, stage: str) -> None:
         with suppress(OSError):
@@ -90,27 +90,9 @@ def progress_reporter(path: Path, time_limits: Mapping[str, float] | None) -> It
         if time_limits is not None:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
-        if restore is not None:
-            restore()
+        printed.close()
         with suppress(OSError):
             file.close()
-
-
-def _redirect_output(target: int) -> Callable[[], None]:
-    """Send this process's stdout and stderr, of C libraries too, to a file descriptor; returns a function that undoes it."""
-    saved = {number: os.dup(number) for number in (1, 2)}
-    for number in saved:
-        os.dup2(target, number)
-
-    def restore() -> None:
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError, AttributeError):  # closed, or None
-                stream.flush()
-        for number, original in saved.items():
-            os.dup2(original, number)
-            os.close(original)
-
-    return restore
 
 
 @dataclass
@@ -153,6 +135,12 @@ def run_chain(
                 break
             context.receipts[spec.task] = done.state.receipt
     return ended
+
+
+def run_chain_in_cluster(specs: list[TaskSpec], cache: Cache, progress: Path) -> list[FinishedTask]:
+    """`run_chain` in a process of a cluster, which other runs may use too: it is silenced, but not ended after a time."""
+    with output_into(progress):
+        return run_chain(specs, cache, progress)
 
 
 def arguments_of(spec: TaskSpec, cache: Cache) -> dict[str, Any]:

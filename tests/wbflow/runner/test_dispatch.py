@@ -267,6 +267,31 @@ def test_what_libraries_print_in_threads_is_in_the_log_and_nowhere_else(toy: Toy
     assert "libpng" not in loud.stdout + loud.stderr and "features" in loud.stdout + loud.stderr
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_libraries_print_in_a_dask_worker_is_in_the_log_and_nowhere_else(
+    toy: ToySite, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], threads: int
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra wbflow[dask] is not installed")
+    (toy.folder / "loud_stage.py").write_text(LOUD)
+    site = json.loads(toy.file.read_text())
+    site["stages"]["features"] = {"use": "loud_stage:detect"}
+    toy.file.write_text(json.dumps(site))
+    for name, value in toy.env().items():
+        monkeypatch.setenv(name, value)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=threads, processes=True, dashboard_address=None) as cluster:
+        result = toy.wbflow("run", "-q", "--backend", "dask", "--scheduler", cluster.scheduler_address)
+        # what a worker prints that works on nothing is its own again
+        cluster.get_client().run(os.write, 2, b"at rest")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    log = [json.loads(line) for line in (toy.work / "runs" / "latest" / "log.jsonl").read_text().splitlines()]
+    text = "".join(line["what"] for line in log if line["event"] == "output")
+    by_worker = "".join(capfd.readouterr())
+    assert "at rest" in by_worker
+    for words in ("40 extraneous bytes", "error while decoding MB", "in Python", "libpng warning: unfinished"):
+        assert text.count(words) == len(toy.cameras)
+        assert words not in by_worker
+
+
 def test_what_a_lost_worker_has_printed_is_in_the_log(wicked: ToySite) -> None:
     (wicked.folder / "wicked_stage.py").write_text(WICKED.replace("os._exit(3)", 'os.write(2, b"terminate called"), os._exit(3)'))
     behave(wicked, "leave")
