@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from ..io.image_headers import (
-    SCAN,
     is_heic,
     is_raw_photograph,
+    is_truncated,
     jpeg_end,
     jpeg_offset,
     jpeg_segments,
@@ -189,14 +189,7 @@ def _refuse_dimensions(name: str, width: int, height: int, lens: Lens | None) ->
 
 def refuse_truncated(name: str, data: bytes) -> None:
     """Raises TruncatedImage for JPEG without end marker or PNG without last chunk: decoders pad them with grey and only warn."""
-    if data[:3] == b"\xff\xd8\xff":
-        scans = [start for marker, start, _ in jpeg_segments(data) if marker == SCAN]
-        is_complete = bool(scans) and data.find(b"\xff\xd9", scans[0]) >= 0
-    elif data[:8] == b"\x89PNG\r\n\x1a\n":
-        is_complete = data.rfind(b"IEND") >= 0
-    else:
-        return
-    if not is_complete:
+    if is_truncated(data):
         raise TruncatedImage(f"{name} ends after {len(data):,} bytes: the image is truncated")
 
 

@@ -115,6 +115,16 @@ def read_jpeg(data: bytes | bytearray, offset: int) -> tuple[int, bool]:
         offset += 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
 
 
+def is_truncated(data: bytes) -> bool:
+    """Does a JPEG file lack an end marker behind the beginning of a scan, or a PNG file its last chunk?  False for others."""
+    if data[:3] == _JPEG_START:
+        scans = [start for marker, start, _ in jpeg_segments(data) if marker == SCAN]
+        return not scans or data.find(b"\xff\xd9", scans[0]) < 0
+    if data[:8] == _PNG_START:
+        return data.rfind(b"IEND") < 0
+    return False
+
+
 def is_image(data: bytes) -> bool:
     """Does a file begin as an image does, whatever its name says?"""
     if data[:8] == _PNG_START or data[:4] in _TIFF_STARTS:

@@ -7,13 +7,17 @@ summary of the frame task (`stale_by_image`).
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from wbflow_stages.contracts.camera_figures import FrameFigures, Health
 
 from ..cache.checksum import content_digest
 from ..cache.memo import Digests, EarlierCaptures
+from ..cache.untrusted import read_untrusted
+from ..plugins import load
 from .bursts import longest_gap
 from .capture_files import CaptureFile
 from .captures import captures_dated
@@ -126,7 +130,15 @@ class _Search:
 
 def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Search:
     """Leave out a camera's repeated captures, or find that it is frozen.  earlier: night by digest."""
-    readable = [file for file in files if file.digest not in {"", _EMPTY_FILE_DIGEST}]
+    counts = Counter(file.digest for file in files)
+    readable: list[CaptureFile] = []
+    for file in files:
+        if file.digest in {"", _EMPTY_FILE_DIGEST}:
+            continue
+        is_repeat = file.digest in earlier or counts[file.digest] > 1
+        if is_repeat and _is_truncated(file.path):
+            continue
+        readable.append(file)
     if not readable:
         return _Search(files)
     first_of: dict[str, CaptureFile] = {}  # the first file of each content
@@ -148,6 +160,14 @@ def _search_repeats(files: list[CaptureFile], earlier: Mapping[str, str]) -> _Se
         return _Search(usable)
     left_out = len(readable) - len(new)
     return _Search(usable, note=f"{left_out} of {len(readable)} captures come again, or are of an earlier night; left out")
+
+
+def _is_truncated(path: Path) -> bool:
+    """Is an image file cut off?  Files that are cut within their headers are equal, whatever their pictures show."""
+    try:
+        return bool(load("wbflow_stages.io.image_headers:is_truncated")(read_untrusted(path)))
+    except OSError:
+        return False
 
 
 def gap_of(site: Site, camera: str, files: Iterable[CaptureFile]) -> str | None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from tests.helpers.toy_site import HELPERS, ToySite
@@ -84,6 +86,24 @@ def test_repeated_empty_files_are_not_stale(tmp_path: Path) -> None:
     found = checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
     assert not found.stale
     assert len(found.captures["gate"]) == 2, "whoever reads them says that they are empty"
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_files_that_are_cut_within_their_headers_are_not_called_frozen(tmp_path: Path, suffix: str) -> None:
+    site = a_site(tmp_path, PATTERN.replace("jpg", suffix))
+    random = np.random.default_rng(0)
+    for night in (NIGHT - DAY, NIGHT):
+        for time in ("140000", "140100"):
+            for camera, bytes_kept in (("gate", 40), ("roof", None), ("mast", None)):
+                picture = cv2.imencode(f".{suffix}", random.integers(0, 255, (30, 40, 3), np.uint8))[1].tobytes()
+                file = tmp_path / "in" / camera / f"{night}_{time}.{suffix}"
+                file.parent.mkdir(exist_ok=True)
+                file.write_bytes(picture[:bytes_kept])
+    gate = [file.read_bytes() for file in (tmp_path / "in/gate").iterdir()]
+    assert len(gate) == 4 and len(set(gate)) == 1, "their pictures differ, their headers do not"
+    found = checked_captures(site, NIGHT, EarlierCaptures(tmp_path / "memo"))
+    assert not found.stale and not found.notes
+    assert len(found.captures["gate"]) == 2, "the frame task finds out that they are truncated"
 
 
 def test_a_clock_that_is_hours_off_is_found_across_midnight(tmp_path: Path) -> None:
