@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Compare matchers on photographed pairs with truth: fountain (laser depth) and entry (known cameras).
 
-Rows: kdtree, kdtree-root, mutual, hao2011-dominance, structural (plain views), structural-tilt (adds views compressed in x); each
-as matched, and (+F) after the guided round.  Columns: matches, correct ones and precision at 3 px (at width 1536); mean symmetric
-epipolar distance of F on true correspondences, with K unknown; ok if that is below 0.2 % of the width; rotation and translation
-error with K known; CPU seconds without SIFT.
+Rows: kdtree, kdtree-root, mutual, hao2011-dominance, structural (plain views), structural-tilt (adds views compressed in x),
+aliked and sift-aliked (structural on learned keypoints, and on both kinds); each as matched, and (+F) after the guided round.
+Columns: matches, correct ones and precision at 3 px (at width 1536); mean symmetric epipolar distance of F on true
+correspondences, with K unknown; ok if that is below 0.2 % of the width; rotation and translation error with K known; CPU seconds
+without keypoints.
 
 The rival is Lowe's matching (ratio 0.8, randomised kd-trees of FLANN, 200 checks), in two rows.  `kdtree` is what OpenCV offers
 on the same photographs: all keypoints and descriptors of its SIFT with default settings.  `kdtree-root` is the harder rival: it
@@ -12,7 +13,8 @@ matches the keypoints and RootSIFT descriptors of the other rows, so any gain ov
 
 `lightglue` is DISK with LightGlue; it is left out with a message unless a package with its weights is installed (see
 lightglue_rival.py).  `onnx` runs the model that --onnx names, with the matcher `onnx`.  Both bring their own keypoints, so their
-rows (+F) have the same geometry without a guided round.
+rows (+F) have the same geometry without a guided round.  `aliked` takes the file that `wbflow models get aliked-n32` downloads,
+or the one that --aliked names (COLMAP's, or what aliked_onnx.py writes), and is left out without it.
 
     scripts/bench_matching.py --scenes fountain --pairs 5-4 5-9
     scripts/bench_matching.py --matchers kdtree structural lightglue
@@ -26,7 +28,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from time import process_time
@@ -37,7 +39,10 @@ import numpy as np
 from bench_files import exit_status
 from pairs_with_truth import TrueView, axes_angle_deg, correct, on_one_thread, photographed, pose_error_deg, true_correspondences
 
+from wbflow.site.published_models import PUBLISHED_MODELS
+from wbflow_stages.contracts.reasons import usable
 from wbflow_stages.core.epipolar import symmetric_epipolar_distance
+from wbflow_stages.features import detect
 from wbflow_stages.geometry import estimate_geometry
 from wbflow_stages.matches import match
 from wbflow_stages.types import Capture, Features, Geometry, Matches, Rejected
@@ -53,7 +58,11 @@ MATCHERS: dict[str, dict[str, Any]] = {
     "structural-tilt": {"tilt": "always"},
     "lightglue": {"matcher": "lightglue"},
     "onnx": {"matcher": "onnx"},
+    "aliked": {},
+    "sift-aliked": {},
 }
+LEARNED = {"aliked": "onnx", "sift-aliked": "sift+onnx"}
+"""The detector of each row with learned keypoints."""
 SWEEP = {
     "fountain": "5-4 5-3 5-2 5-1 5-0 5-6 5-7 5-8 5-9 5-10 0-4 2-7 3-9 2-9 1-9 0-9 0-10",
     "entry": "0-1 0-2 0-3 0-5 0-7 0-9 4-9 2-7",
@@ -81,9 +90,30 @@ class Row:
     cpu_s: float
 
 
-def measure(left: TrueView, right: TrueView, name: str, seed: int) -> tuple[Row, Row]:
+@dataclass(frozen=True)
+class Keypoints:
+    """The keypoints of views; learned ones are searched once a view."""
+
+    model: Capture | None
+    """The file of ALIKED."""
+    _found: dict[tuple[str, str, int, str], Features] = field(default_factory=dict)
+
+    def of(self, view: TrueView, row: str) -> Features:
+        """The keypoints of a view for a row."""
+        if row == PLAIN_SIFT:
+            return view.plain_sift
+        if row not in LEARNED:
+            return view.features
+        key = (view.scene, view.name, view.camera.width, row)
+        if key not in self._found:
+            self._found[key] = usable(detect(view.frame, model=self.model, detector=LEARNED[row]))
+        return self._found[key]
+
+
+def measure(left: TrueView, right: TrueView, name: str, seed: int, keypoints: Keypoints) -> tuple[Row, Row]:
     """The row as matched, and the row after the guided round."""
-    f, g = (left.plain_sift, right.plain_sift) if name == PLAIN_SIFT else (left.features, right.features)
+    f = keypoints.of(left, name)
+    g = keypoints.of(right, name)
     if name == "lightglue":
         lightglue_rival.prepare(left)
         lightglue_rival.prepare(right)
@@ -143,20 +173,22 @@ def averaged(rows: list[Row]) -> Row:
     return Row(**means)
 
 
-def bench(pairs: dict[str, list[tuple[str, str]]], width: int, seeds: int, names: list[str]) -> Iterator[Row]:
+def bench(
+    pairs: dict[str, list[tuple[str, str]]], width: int, seeds: int, names: list[str], keypoints: Keypoints
+) -> Iterator[Row]:
     for scene, chosen in pairs.items():
         views = photographed(scene, width, sorted({name for pair in chosen for name in pair}))
         for a, b in chosen:
             for name in names:
-                for rows in zip(*(measure(views[a], views[b], name, seed) for seed in range(seeds)), strict=True):
+                for rows in zip(*(measure(views[a], views[b], name, seed, keypoints) for seed in range(seeds)), strict=True):
                     yield averaged(list(rows))
 
 
-def warm_up(width: int, names: list[str]) -> None:
+def warm_up(width: int, names: list[str], keypoints: Keypoints) -> None:
     """Compile the kernels, so that no row includes the time."""
     views = photographed("fountain", min(width, 768), ["4", "5"])
     for name in names:
-        measure(views["5"], views["4"], name, 0)
+        measure(views["5"], views["4"], name, 0, keypoints)
 
 
 def pairs_of(scene: str, asked: list[str]) -> list[tuple[str, str]]:
@@ -184,9 +216,9 @@ def plot(rows: list[Row], file: Path) -> None:
     order = sorted({(r.scene, r.angle_deg, r.pair) for r in rows})
     step, height, left = 46, 170, 60
     parts = []
-    for panel, (field, title) in enumerate((("matches", "matches"), ("correct", "good matches"), ("precision", "good rate"))):
+    for panel, (column, title) in enumerate((("matches", "matches"), ("correct", "good matches"), ("precision", "good rate"))):
         base = 40 + (panel + 1) * (height + 24)
-        found = {(r.scene, r.angle_deg, r.pair, r.matcher): float(getattr(r, field)) for r in rows if r.matcher in colours}
+        found = {(r.scene, r.angle_deg, r.pair, r.matcher): float(getattr(r, column)) for r in rows if r.matcher in colours}
         top = max(found.values(), default=1.0) or 1.0
         parts.append(f'<text x="4" y="{base - height}">{title}</text>')
         parts.append(f'<text x="4" y="{base - height + 14}">{top:.4g}</text>')
@@ -222,9 +254,11 @@ def check(rows: list[Row]) -> list[str]:
     return faults
 
 
-def available(names: list[str], model: Path | None) -> list[str]:
+def available(names: list[str], model: Path | None, aliked: Path) -> list[str]:
     """The matchers that can be measured here; prints why the others cannot."""
     absent = {"lightglue": lightglue_rival.why_absent(), "onnx": "" if model else "no --onnx MODEL"}
+    if not aliked.is_file():
+        absent.update(dict.fromkeys(LEARNED, f"there is no {aliked}"))
     for name in names:
         if absent.get(name):
             print(f"{name}: left out, {absent[name]}")
@@ -239,6 +273,9 @@ def main() -> int:
     parser.add_argument("--pairs", nargs="+", default=[], help="such as 5-4, or all; default: a sweep of growing angles")
     parser.add_argument("--matchers", nargs="+", default=list(MATCHERS), choices=list(MATCHERS))
     parser.add_argument("--onnx", type=Path, metavar="MODEL", help="the model of the row onnx, see stages/README.md")
+    parser.add_argument(
+        "--aliked", type=Path, metavar="MODEL", default=PUBLISHED_MODELS["aliked-n32"].path, help="the model of the rows aliked"
+    )
     parser.add_argument("--width", type=int, default=1536, help="working width, pixels")
     parser.add_argument("--seeds", type=int, default=3, help="random seeds to average over")
     parser.add_argument("--json", type=Path, help="write the rows as JSON objects")
@@ -250,11 +287,15 @@ def main() -> int:
         pairs, given.seeds, given.matchers = {k: pairs_of(k, v.split()) for k, v in CHECK.items()}, 1, CHECKED
     else:
         pairs = {scene: pairs_of(scene, given.pairs) for scene in given.scenes}
-    given.matchers = available(given.matchers, given.onnx)
-    warm_up(given.width, given.matchers)
+    given.matchers = available(given.matchers, given.onnx, given.aliked)
+    model = None
+    if given.aliked.is_file():
+        model = Capture(given.aliked.name, np.fromfile(given.aliked, np.uint8))
+    keypoints = Keypoints(model)
+    warm_up(given.width, given.matchers, keypoints)
     rows: list[Row] = []
     print(HEAD)
-    for row in bench(pairs, given.width, given.seeds, given.matchers):
+    for row in bench(pairs, given.width, given.seeds, given.matchers, keypoints):
         rows.append(row)
         print(line(row), flush=True)
     if given.json:

@@ -58,7 +58,7 @@ def detect_onnx(
     Parameters
     ----------
     frame : the clean frame; keypoints on masked pixels are left out.
-    model : the ONNX file: `model: PATH` in the site file.
+    model : the ONNX file: a path, or a name that `wbflow models` lists.
     max_keypoints : most keypoints kept.
     min_score : keypoints to which the model gives a lower score are dropped, 0 to 1.
     grid_columns : number of square cells across the image, over which the keypoints are spread.

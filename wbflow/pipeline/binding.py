@@ -141,8 +141,7 @@ def method_parameters(stage: Stage, reader: Functions) -> dict[str, dict[str, Pa
 
 def methods_with_file(stage: Stage, name: str, reader: Functions) -> list[str]:
     """The methods of a stage's table that take the file input `name`.  Raises FunctionError."""
-    source = stage.offers.get(name)
-    if stage.method is None or source is None or source.kind != "file":
+    if stage.method is None or name not in stage.files:
         return []
     return [method for method, dotted in reader.table(stage.method.table).items() if name in reader.signature(dotted).names]
 
@@ -158,7 +157,7 @@ def _chosen_method(choice: Method, value: Any, reader: Functions) -> str:
 def _passed_to_method(function: Signature, stage: Stage) -> set[str]:
     """Inputs that a stage's function passes on to its method: those among its own arguments, and files if it has `**parameters`,
     through which files are passed."""
-    files = {name for name, source in stage.offers.items() if source.kind == "file"} if function.takes_any else set()
+    files = set(stage.files) if function.takes_any else set()
     return (function.names & stage.sources.keys()) | files
 
 

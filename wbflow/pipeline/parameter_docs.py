@@ -55,7 +55,9 @@ def describe(stage: Stage, reader: Functions) -> list[str]:
     if stage.method:
         table, own_parameters = reader.table(stage.method.table), method_parameters(stage, reader)
         for name, dotted in table.items():
-            meaning, docs = document(reader.signature(dotted), own_parameters[name].values())
+            method = reader.signature(dotted)
+            files = [Parameter(file, required=True) for file in stage.files if file in method.names]
+            meaning, docs = document(method, [*files, *own_parameters[name].values()])
             is_default = name == parameters[stage.method.parameter].default
             lines.append(f"  {name}{' (default)' if is_default else ''}: {meaning}")
             lines += [line for doc in docs for line in doc.lines("    ")]

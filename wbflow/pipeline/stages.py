@@ -208,6 +208,11 @@ class Stage:
         """All inputs that it can provide to a function, by argument name."""
         return {**self.inputs, **self.offers}
 
+    @property
+    def files(self) -> list[str]:
+        """The inputs that are files, which its section in the site file names."""
+        return [name for name, source in self.offers.items() if source.kind == "file"]
+
     def needed(self) -> set[str]:
         """The stages whose results this one requires."""
         return {source.name for source in self.inputs.values() if source.kind == "stage" and not source.optional}

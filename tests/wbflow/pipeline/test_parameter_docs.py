@@ -13,7 +13,7 @@ from wbflow.cli.main import main
 from wbflow.pipeline.binding import method_parameters
 from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.parameter_docs import describe, document
-from wbflow.pipeline.stages import DISPARITY, MATCHES, STAGES, Stage, stage_named
+from wbflow.pipeline.stages import DISPARITY, FEATURES, MATCHES, STAGES, Stage, stage_named
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
@@ -59,3 +59,9 @@ def test_the_stages_command_imports_no_vision_libraries() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stderr.strip() == "[]"
+
+
+def test_a_file_that_a_method_needs_is_listed_among_its_parameters() -> None:
+    text = "\n".join(describe(stage_named(FEATURES), FunctionReader()))
+    assert "\n  onnx: " in text and text.count("    model = none: it must be given\n") == 2
+    assert "a path, or a name that `wbflow models` lists" in text
