@@ -57,6 +57,14 @@ class MergedList:
                 kept.append(Entry(file_items[entry.was], entry.was, None))
         return MergedList(tuple(kept), tuple(unsaved))
 
+    def keeping(self, faults: dict[int, str], file_items: Sequence[Any]) -> MergedList:
+        """Return the list with items of the file that were removed and cannot be, by their index in the file."""
+        entries = [*self.entries, *(Entry(file_items[was], was, None) for was in faults)]
+        # in the order of the file, then what is new
+        entries.sort(key=lambda entry: len(file_items) if entry.was is None else entry.was)
+        removals = [Unsaved(None, was, why) for was, why in faults.items()]
+        return MergedList(tuple(entries), (*self.unsaved, *removals))
+
 
 def merge(
     opened: Sequence[Any], drawn: Sequence[tuple[int | None, Any]], file_items: Sequence[Any], name: Callable[[Any], Hashable]

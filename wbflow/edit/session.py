@@ -6,6 +6,7 @@ import re
 import threading
 from codecs import BOM_UTF8
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -258,7 +259,8 @@ class Session:
         """Write the marks to the site file and to masks, and return the new state, with what is not saved and why.
 
         What somebody else has changed in the file since is kept.  A mark that would make the file invalid, or that was changed in
-        both places, is left out.  Raises Refused if nothing can be saved; nothing is written then.
+        both places, is left out, and so is one whose text cannot be changed.  Raises Refused if the file as it is now cannot be
+        used; nothing is written then.
         """
         marks = request.marks
         with self._lock:  # the browser may send two requests at once, and each changes the text that the other has read
@@ -280,11 +282,14 @@ class Session:
             lists = _merged_lists(marks, opened, site)
             try:
                 paths = {name: str(files[name].relative_to(site.folder)) for name in added}
-                text, edited, lists = _edited_site(site, lists, paths)
+                text, edited, lists, faults_of_masks = _edited_site(site, lists, paths)
             except Refused:
                 for name in added:
                     files[name].unlink()
                 raise
+            for name in faults_of_masks:
+                files.pop(name).unlink()
+                del masks[name]
             # 4. All is valid: existing masks, and the site file last.
             for name, file in files.items():
                 write_atomic(file, masks[name])
@@ -294,6 +299,8 @@ class Session:
             if is_merged:
                 self.posed = PosedCameras(edited)
             unsaved = [mark for part in lists for mark in part.unsaved_marks()]
+            for name, why in faults_of_masks.items():
+                unsaved.append({"kind": "mask", "camera": name, "drawn": None, "was": None, "why": why})
             return {**self.state(), "merged": is_merged, "unsaved": unsaved}
 
     def _take(self, site: Site) -> None:
@@ -438,10 +445,13 @@ def _merged_lists(marks: Marks, opened: Site, site: Site) -> list[_EditedList]:
     return lists
 
 
-def _edited_site(site: Site, lists: list[_EditedList], masks: Mapping[str, str]) -> tuple[bytes, Site, list[_EditedList]]:
-    """Return the bytes of the site file with the lists, the site loaded from them, and the lists as written.
+def _edited_site(
+    site: Site, lists: list[_EditedList], masks: Mapping[str, str]
+) -> tuple[bytes, Site, list[_EditedList], dict[str, str]]:
+    """Return the bytes of the site file with the lists, the site loaded from them, the lists as written, and masks that are not.
 
-    Drawn items that make the file invalid are left out.  Raises Refused if it is still invalid then.
+    Drawn items that make the file invalid, or whose text cannot be changed, are left out.  Raises Refused if the file is still
+    invalid then.
 
     Parameters
     ----------
@@ -450,7 +460,7 @@ def _edited_site(site: Site, lists: list[_EditedList], masks: Mapping[str, str])
     lists : list of _EditedList
         The lists that may differ from those in the file.
     masks : Mapping
-        Paths of new masks, by camera.
+        Paths of new masks, by camera; those that cannot be written come back with the reason.
     """
     # byte-order mark and line ends stay as the user's editor wrote them
     raw = read_untrusted(site.file, MOST_TEXT_BYTES)
@@ -458,12 +468,10 @@ def _edited_site(site: Site, lists: list[_EditedList], masks: Mapping[str, str])
     bom = BOM_UTF8 if raw.startswith(BOM_UTF8) else b""
     line_end = "\r\n" if "\r\n" in old_text else "\n"
     while True:
+        text, lists, faults_of_masks = _with_lists(old_text.replace("\r\n", "\n"), site, lists, masks)
         try:
-            text = _with_lists(old_text.replace("\r\n", "\n"), site, lists, masks)
             edited = site_of(parse_yaml(text, site.file), site.work_folder.root)
-            return bom + text.replace("\n", line_end).encode(), edited, lists
-        except NotEditable as error:
-            raise Refused(str(error), where=str(site.file), remedy="change this by hand") from None
+            return bom + text.replace("\n", line_end).encode(), edited, lists, faults_of_masks
         except SiteError as error:
             without_faults = [part.with_faults(error.problems) for part in lists]
             if without_faults == lists:
@@ -472,25 +480,28 @@ def _edited_site(site: Site, lists: list[_EditedList], masks: Mapping[str, str])
             lists = without_faults
 
 
-def _with_lists(text: str, site: Site, lists: Sequence[_EditedList], masks: Mapping[str, str]) -> str:
-    """Return the text of a site file with edited lists and new masks (paths by camera).  Raises NotEditable."""
-    of_camera = {part.camera: part for part in lists if part.camera}
+def _with_lists(
+    text: str, site: Site, lists: Sequence[_EditedList], masks: Mapping[str, str]
+) -> tuple[str, list[_EditedList], dict[str, str]]:
+    """Return the text of a site file with edited lists and new masks (paths by camera), the lists as far as they could be
+    written, and why masks could not."""
+    faults_of_masks: dict[str, str] = {}
+    drawn_on = {part.camera for part in lists if part.merged.entries} | masks.keys()
     for k, camera in enumerate(site.cameras):
-        edited = of_camera.get(camera.id)
-        if edited is None:
-            continue
-        location: Location = ("cameras", k)
         # a camera that is written as its id alone becomes a mapping as soon as it has keys
-        is_id_alone = not isinstance(site.document.data["cameras"][k], dict)
-        if is_id_alone and (edited.merged.entries or camera.id in masks):
-            text = put(text, location, {"id": camera.id})
+        if camera.id in drawn_on and not isinstance(site.document.data["cameras"][k], dict):
+            with suppress(NotEditable):  # what is put into it is at fault then, too
+                text = put(text, ("cameras", k), {"id": camera.id})
         if camera.id in masks:
-            text = put(text, (*location, "mask"), masks[camera.id])
-        text = _with_list(text, edited, site.file)
+            try:
+                text = put(text, ("cameras", k, "mask"), masks[camera.id])
+            except NotEditable as error:
+                faults_of_masks[camera.id] = _by_hand(error)
+    written: list[_EditedList] = []
     for part in lists:
-        if not part.camera:
-            text = _with_list(text, part, site.file)
-    return text
+        text, part_written = _with_list(text, part)
+        written.append(part_written)
+    return text, written, faults_of_masks
 
 
 def _camera_of(site: Site, name: str) -> Camera:
@@ -521,14 +532,17 @@ def _marks_of(site: Site) -> tuple[list[ZoneMark], list[PointMark]]:
     return zones, points
 
 
-def _with_list(text: str, edited: _EditedList, file: Path) -> str:
-    """Return the text with a list changed as it was edited: items that remain keep their text, except for values that differ.
+def _with_list(text: str, edited: _EditedList) -> tuple[str, _EditedList]:
+    """Return the text with a list changed as it was edited, and the list as far as it could be written.
 
-    Raises SiteError for an item that cannot be changed in the text, and NotEditable for a list that cannot.
+    Items that remain keep their text, except for values that differ.
     """
     location = edited.location
+    entries = edited.merged.entries
+    faults: dict[int, str] = {}  # by index in the merged list
+    faults_of_removals: dict[int, str] = {}  # by index in the file's list
     # 1. Items that remain.
-    kept_items = {entry.was: (k, entry.value) for k, entry in enumerate(edited.merged.entries) if entry.was is not None}
+    kept_items = {entry.was: (k, entry.value) for k, entry in enumerate(entries) if entry.was is not None}
     for was, file_item in enumerate(edited.file_items):
         if was not in kept_items:
             continue
@@ -536,18 +550,32 @@ def _with_list(text: str, edited: _EditedList, file: Path) -> str:
         try:
             text = _with_value(text, (*location, was), file_item, value)
         except NotEditable as error:
-            raise SiteError(Problem(file, f"{error}: change this by hand", where=f"{edited.where}[{k}]")) from None
+            faults[k] = _by_hand(error)
     # 2. Items that are gone; from the end, so that the others keep their places.
     for was in reversed(range(len(edited.file_items))):
-        if was not in kept_items:
+        if was in kept_items:
+            continue
+        try:
             text = remove(text, (*location, was))
+        except NotEditable as error:
+            faults_of_removals[was] = _by_hand(error)
     # 3. New items at the end.
-    added = [entry.value for entry in edited.merged.entries if entry.was is None]
-    if added and not kept_items:
-        return put(text, location, added)
-    for value in added:
-        text = append(text, location, value)
-    return text
+    has_items = bool(kept_items or faults_of_removals)
+    for k, entry in enumerate(entries):
+        if entry.was is not None:
+            continue
+        try:
+            text = append(text, location, entry.value) if has_items else put(text, location, [entry.value])
+        except NotEditable as error:
+            faults[k] = _by_hand(error)
+        else:
+            has_items = True
+    merged = edited.merged.without(faults, edited.file_items).keeping(faults_of_removals, edited.file_items)
+    return text, replace(edited, merged=merged)
+
+
+def _by_hand(error: NotEditable) -> str:
+    return f"{error}: change this by hand"
 
 
 def _with_value(text: str, location: Location, old: Any, new: Any) -> str:

@@ -216,6 +216,52 @@ def test_marks_that_the_site_file_refuses_are_left_out_and_named(server: EditSer
     assert [mark["why"] for mark in unsaved][1:] == ["its coordinates are missing"] * 2
 
 
+def test_what_shares_its_text_by_an_alias_is_named_and_the_rest_is_saved(tmp_path: Path) -> None:
+    garden = "[[[0.0, 0.7], [0.3, 0.65], [0.3, 1.0], [0.0, 1.0]]]"
+    text = edit_site.SITE.replace(f"privacy: {garden}", f"privacy: &garden {garden}")
+    text = text.replace("{id: roof, ", "{id: roof, privacy: *garden, ")
+    text = text.replace("position: [0.5, 1.0, 0.0]", "position: &bolt [0.5, 1.0, 0.0]")
+    text += "  - {id: bolt 2, position: *bolt, pixels: {gate: [170, 70], roof: [150, 80]}}\n"
+    text = text.replace("\n# Long side that stages work at.\nresolution: 1600\n", "")
+    file = edit_site.write(tmp_path / "harbour", text)
+    with edit_site.served(file) as server:
+        there = state(server)
+        drawn = marks(there)
+        drawn["cameras"]["roof"]["privacy"].append({"was": None, "corners": [[1, 1], [9, 1], [9, 9]]})
+        drawn["cameras"]["gate"]["privacy"] = []
+        drawn["points"][1]["position"] = [0.5, 1.0, 0.25]
+        drawn["points"][1]["pixels"]["gate"] = [171, 71]
+        drawn["points"].append({"was": None, "id": "hook", "position": [1, 2, 3], "pixels": {"gate": [5, 6], "mast": [7, 8]}})
+        drawn["zones"][0]["name"] = "pier"
+        status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    lines = [line for line in difflib.ndiff(text.splitlines(), file.read_text().splitlines()) if line[0] in "-+"]
+    assert [line[2:] for line in lines if line[0] == "+"] == [
+        "  - {name: pier,   polygon: [[-3, -3], [3, -3], [3, 3], [-3, 3]], least_m: 0.5}   # where ships moor",
+        "  - {id: hook, position: [1, 2, 3], pixels: {gate: [5, 6], mast: [7, 8]}}",
+    ]
+    unsaved = [(mark["kind"], mark["camera"], mark["drawn"], mark["was"]) for mark in json.loads(body)["unsaved"]]
+    assert unsaved == [("privacy", "gate", None, 0), ("privacy", "roof", 1, None), ("point", "", 1, 1)]
+    for mark in json.loads(body)["unsaved"]:
+        assert "it shares its text with others (an alias)" in mark["why"] and "change this by hand" in mark["why"]
+
+
+def test_a_mask_that_cannot_be_named_in_the_file_is_not_written(tmp_path: Path) -> None:
+    text = edit_site.SITE.replace("mask: masks/gate.png", "mask: &all masks/gate.png")
+    text = text.replace("{id: roof, ", "{id: roof, mask: *all, ")
+    file = edit_site.write(tmp_path / "harbour", text)
+    with edit_site.served(file) as server:
+        there = state(server)
+        drawn = marks(there)
+        drawn["cameras"]["roof"]["mask"] = [{"use": False, "corners": [[0, 0], [9, 0], [9, 9]]}]
+        drawn["zones"][0]["name"] = "pier"
+        status, body = save(server, drawn, there["version"])
+    assert status == 200, body
+    assert [(mark["kind"], mark["camera"]) for mark in json.loads(body)["unsaved"]] == [("mask", "roof")]
+    assert "name: pier" in file.read_text() and "roof.png" not in file.read_text()
+    assert not (file.parent / "masks" / "roof.png").exists()
+
+
 def test_nothing_is_written_if_the_site_file_cannot_be_loaded(server: EditServer, file: Path) -> None:
     there = state(server)
     drawn = marks(there)

@@ -103,6 +103,7 @@ async function save() {
   say([`Saved ${state.file}${merged}`, ...notes].join("\n"), notes.length > 0);
 }
 function unsaved({ kind, camera, drawn: at, was, why }, drawn) { // puts back what is not in the file; returns a note about it
+  if (kind === "mask") { edit.saved = null; return `Not saved: the mask of ${camera}: ${why}`; } // its areas are still drawn
   const listOf = (marks) => ({ point: marks.points, zone: marks.zones, privacy: marks.cameras[camera]?.privacy })[kind];
   const list = listOf(edit.marks), item = at === null ? list[was] : { ...listOf(drawn)[at], was, fault: why };
   if (at !== null && was === null) list.push(item); else if (at !== null) list[was] = item;
