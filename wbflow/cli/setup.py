@@ -55,8 +55,9 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
 
 @click.command()
 @click.argument("folder", metavar="[FOLDER]", type=PATH, default=Path())
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the site file (default: FOLDER); results go there, too.")
 @click.option("--systemd", is_flag=True, help="For an existing site: write a systemd service and timer that run it every night.")
-def init(folder: Path, systemd: bool) -> None:
+def init(folder: Path, out: Path | None, systemd: bool) -> None:
     """Write a site file for a folder of photographs.
 
     FOLDER (this one, if none is named) holds one photograph of each camera, or one folder for each camera with its photographs
@@ -65,6 +66,7 @@ def init(folder: Path, systemd: bool) -> None:
     \b
     wbflow init photographs        (photographs/gate.jpg, photographs/roof.jpg, ...)
     wbflow init photographs        (photographs/gate/1.jpg, photographs/roof/1.jpg, ...)
+    wbflow init /mnt/recorder --out harbour      photographs on a disk that cannot be written
     wbflow init /srv/harbour --systemd
     """
     if systemd:
@@ -76,7 +78,7 @@ def init(folder: Path, systemd: bool) -> None:
         return
     from ..commands.init import write_site
 
-    file, cameras, note = write_site(folder)
+    file, cameras, note = write_site(folder, out)
     echo(f"{file}: {len(cameras)} cameras: {', '.join(cameras)}")
     if note:
         echo(note)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import getpass
 import itertools
 import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -28,18 +29,25 @@ _LONGEST_LIST = 112
 """Characters up to which all ids are written on one line."""
 
 
-def write_site(folder: Path) -> tuple[Path, list[str], str]:
-    """Write `site.yaml` into a folder of photographs; returns it, its camera ids, and a note on ids that differ from names.
+def write_site(folder: Path, out: Path | None = None) -> tuple[Path, list[str], str]:
+    """Write `site.yaml` for a folder of photographs; returns it, its camera ids, and a note on ids that differ from names.
 
     Each photograph in the folder is a camera; or each folder in it that holds photographs is a camera with several captures.
-    Raises UsageError if there is no such folder, a site file already, fewer than two cameras, or both kinds of them.
+    Raises UsageError if there is no such folder, a site file already, fewer than two cameras, or both kinds of them, or if the
+    site file cannot be written.
+
+    out: the folder for the site file; None: that of the photographs.
     """
-    file = folder / SITE_FILE
+    file = (out or folder) / SITE_FILE
     if not folder.is_dir():
         raise UsageError(f"{folder}: there is no such folder", remedy="name the folder that holds the photographs")
     if file.exists():
         raise UsageError(f"{file} is there already", remedy="move it away to have a new one written")
-    photographs_by_name = _cameras(folder)
+    try:
+        photographs_by_name = _cameras(folder)
+    except OSError as error:
+        what = f"{error.filename} cannot be read: {error.strerror}"
+        raise UsageError(what, remedy="give the user who runs wbflow the right to read it") from None
     ids = unique_ids(name for name, _ in photographs_by_name)
     cameras: dict[str, list[str]] = {}
     renamed: list[str] = []
@@ -52,8 +60,16 @@ def write_site(folder: Path) -> tuple[Path, list[str], str]:
     if not renamed:  # a pattern finds files by the id, so cameras whose names are no ids have their files listed
         pattern = _pattern(cameras)
         note = ""
-    site_name = as_id(folder.resolve().name) or "site"
-    write_atomic(file, _site_text(site_name, cameras, pattern).encode())
+    site_name = as_id(file.parent.resolve().name) or "site"
+    root = "."
+    if out is not None and out.resolve() != folder.resolve():
+        root = str(folder.resolve())
+    text = _site_text(site_name, root, cameras, pattern)
+    try:
+        write_atomic(file, text.encode())
+    except OSError as error:
+        remedy = f"write the site file elsewhere, where its results go as well: wbflow init {shlex.quote(str(folder))} --out DIR"
+        raise UsageError(f"{file.parent} cannot be written: {error.strerror}", remedy=remedy) from None
     return file, ids, note
 
 
@@ -113,8 +129,18 @@ def _pattern(cameras: dict[str, list[str]]) -> str | None:
     return stem + Path(names[0]).suffix
 
 
-def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
-    """Return the text of a site file.  cameras: photographs by id; pattern: finds them; None if they must be listed."""
+def _site_text(site: str, root: str, cameras: dict[str, list[str]], pattern: str | None) -> str:
+    """Return the text of a site file.
+
+    Parameters
+    ----------
+    site, root : str, str
+        Name of the site, and the folder of photographs as the site file names it.
+    cameras : dict
+        Photographs by camera id.
+    pattern : str, optional
+        Finds the photographs; None if they must be listed.
+    """
     lines: list[str] = []
     for name, photographs in cameras.items():
         entry = json.dumps(name)  # JSON is YAML, so quotes protect what YAML would read as a number or a date
@@ -127,6 +153,7 @@ def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) ->
         camera_list = "".join(lines)
     return _SITE.format(
         site=json.dumps(site),
+        root=root if root == "." else json.dumps(root, ensure_ascii=False),
         pattern=json.dumps(pattern or "{camera}"),
         cameras=camera_list,
         resolution=RESOLUTION,
@@ -136,7 +163,7 @@ def _site_text(site: str, cameras: dict[str, list[str]], pattern: str | None) ->
 _SITE = """\
 # Made by `wbflow init`.  Try:  wbflow check .   wbflow run .   wbflow status .
 site: {site}
-captures: {{root: ., pattern: {pattern}}}
+captures: {{root: {root}, pattern: {pattern}}}
 cameras:{cameras}
 # Known intrinsics and poses make the cloud metric and more complete (a JSON file, or a COLMAP text model):
 # calibration: cameras.json
@@ -218,7 +245,7 @@ WantedBy=timers.target
 
 
 def write_units(site: Site) -> list[Path]:
-    """Write a systemd service and a timer beside the site file; returns their paths.  Raises OSError."""
+    """Write a systemd service and a timer beside the site file; returns their paths.  Raises UsageError."""
     has_urls = any(entry.url for entry in site.settings.cameras)
     # systemd replaces % by its own names, and takes what is in quotes as one word
     file = '"' + str(site.file.resolve()).replace("%", "%%").replace('"', '\\"') + '"'
@@ -233,6 +260,11 @@ def write_units(site: Site) -> list[Path]:
     paths = []
     for kind, text in units.items():
         path = site.folder / f"wbflow-{site.name}.{kind}"
-        write_atomic(path, text.encode())
+        try:
+            write_atomic(path, text.encode())
+        except OSError as error:
+            what = f"{site.folder} cannot be written: {error.strerror}"
+            remedy = "run this as a user who may write there, or keep the site file in another folder"
+            raise UsageError(what, remedy=remedy) from None
         paths.append(path)
     return paths

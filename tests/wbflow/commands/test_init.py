@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import re
+import shlex
 from pathlib import Path
 
 import cv2
@@ -182,3 +186,38 @@ def test_old_photographs_are_accepted_unless_one_is_of_another_date(tmp_path: Pa
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 3 and "castle-9" in result.output and "taken on 2024-03-05" in result.output
     assert "cloud" not in result.output, "none was asked for"
+
+
+def test_photographs_on_a_disk_that_cannot_be_written_have_their_site_file_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "recorder's disk"
+    for name in ("gate", "roof"):
+        photograph(folder / f"{name}.jpg")
+    mkdir = Path.mkdir
+
+    def refusing(path: Path, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        if path == folder:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        mkdir(path, mode, parents, exist_ok)
+
+    monkeypatch.setattr(Path, "mkdir", refusing)
+    result = init(folder)
+    assert result.exit_code == 2
+    assert f"{folder} cannot be written: Read-only file system" in result.output
+    (command,) = re.findall("(wbflow init .*) DIR", result.output)
+    arguments = shlex.split(command)[1:]
+    result = CliRunner().invoke(main, [*arguments, str(tmp_path / "harbour")])
+    assert result.exit_code == 0, result.output
+    assert captured(tmp_path / "harbour") == {"gate": ["gate.jpg"], "roof": ["roof.jpg"]}
+    assert load_site(tmp_path / "harbour").work_folder.root == tmp_path / "harbour/.wbflow/harbour"
+
+
+def test_a_folder_of_photographs_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refusing(path: Path) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refusing)
+    result = init(tmp_path)
+    assert result.exit_code == 2
+    assert f"{tmp_path} cannot be read: Permission denied" in result.output and "the right to read it" in result.output
