@@ -22,7 +22,7 @@ VISION_LAYERS = [
     {"contracts"},
     {"types", "core"},
     {"twoview", "matching", "io"},
-    {"capture", "rectification", "stereo", "sfm", "orientation", "mvs", "fusion", "change", "sighted"},
+    {"capture", "rectification", "stereo", "sfm", "orientation", "observed", "mvs", "fusion", "change", "sighted"},
     {"stages"},
     {"exports"},
 ]

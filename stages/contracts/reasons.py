@@ -120,6 +120,21 @@ class Reason(StrEnum):
     MIRRORED = "mirrored", "one image would be mirrored"
     UNCERTAIN_ROWS = "uncertain-rows", "the matches are too few or too clustered to determine the epipolar lines"
 
+    NO_OBSERVATIONS = "no-observations", "there are no observations of things"
+    ONE_OBSERVING_CAMERA = (
+        "one-observing-camera",
+        "{cameras:.0f} cameras have observations and a known lens; two or more are needed",
+    )
+    NEVER_SEEN_TOGETHER = (
+        "never-seen-together",
+        "no two cameras see a thing at the same time, whatever their clocks: {moments:.0f} moments at most, {needed:.0f} needed",
+    )
+    OBSERVATIONS_DISAGREE = (
+        "observations-disagree",
+        "none of the {pairs:.0f} pairs of cameras has a pose that explains what both saw at once: wrong things, wrong lenses, or "
+        "clocks that are farther apart than what is tried",
+    )
+
     RANGE_TOO_WIDE = "range-too-wide", "the disparity range is too wide"
     NO_DENSE_MATCHES = "no-dense-matches", "almost nothing matches densely"
     NO_PAIR_DEPTH = "no-pair-depth", "no pair gave depth for this view"

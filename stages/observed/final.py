@@ -1,0 +1,165 @@
+"""The solution from all observations: growth, adjustment of everything, lenses that disagree, and the two halves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..contracts.reasons import Reason, Rejected
+from ..core.rotations import angle_between_deg, nearest_rotation
+from ..types import Bools, Float64s, Int64s, Lens
+from .adjustment import Adjusted, State, adjust
+from .growth import GrownModel, Limits, common_counts, grow
+from .hypotheses import LEAST_COMMON
+from .tracks import Moments, Track, choose_moments, seen_by
+from .uncertainty import covariances
+
+MOST_MOMENTS = 6000
+"""Most moments of the final adjustment."""
+OFFSET_SIGMA_S = 10.0
+"""Standard deviation of clocks, seconds: it decides only where the observations say nothing of them."""
+DRIFT_SIGMA = 1e-4
+"""Standard deviation of a clock's drift, seconds a second."""
+LEAST_DRIFT_S = 120.0
+"""Drifts are solved if the recording lasts this long, seconds."""
+LENS_SIGMA = 0.05
+"""Standard deviation of the logarithm of a stated focal length while lenses are checked."""
+LEAST_FOCAL_CHANGE = 0.01
+"""Smallest relative change of a stated focal length that is said and used."""
+FOCAL_DEVIATIONS = 4.0
+"""... if it is at least this many standard deviations."""
+BLOCKS = 20
+"""Number of stretches into which the recording is cut for the two halves."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """All cameras that could be placed, in one frame of the model."""
+
+    names: tuple[str, ...]
+    """Ids of the cameras in the order of the state."""
+    tracks: Mapping[str, Track]
+    """Of all cameras that have a lens."""
+    adjusted: Adjusted
+    limits: Limits
+    """In the order of `names`."""
+    common: Float64s
+    """(t, t) moments that two cameras may have seen at once, in the order of `tracks`."""
+    nearest: tuple[Int64s, ...]
+    """(m,) for each camera the observation nearest to each moment."""
+    focal_solved: tuple[str, ...] = ()
+    """Cameras whose focal length was solved."""
+    guessed_focal: Mapping[str, float] = field(default_factory=dict)
+    """Cameras whose focal length was not stated."""
+
+
+def solve(
+    tracks: Mapping[str, Track], still: Bools, lenses: Mapping[str, Lens], unit: float, max_offset_s: float, seed: int
+) -> Solved | Rejected:
+    """Place all cameras that can be placed.
+
+    Parameters
+    ----------
+    tracks : by camera.
+    still : (things,) bool, things that don't move.
+    lenses : by camera.
+    unit : units of time in a second.
+    max_offset_s : largest offset of a clock, seconds.
+    seed : of the random samples.
+    """
+    names = tuple(tracks)
+    if len(names) < 2:
+        return Rejected(Reason.ONE_OBSERVING_CAMERA, {"cameras": len(names)})
+    every = list(tracks.values())
+    common = common_counts(every, still, max_offset_s * unit)
+    if common.max() < LEAST_COMMON:
+        return Rejected(Reason.NEVER_SEEN_TOGETHER, {"moments": float(common.max()), "needed": LEAST_COMMON})
+
+    # 1. A model of the cameras.
+    limits = Limits(
+        most_offset=max_offset_s * unit,
+        offset_sigma=OFFSET_SIGMA_S * unit,
+        drift_sigma=DRIFT_SIGMA if _seconds(every, unit) > LEAST_DRIFT_S else 0.0,
+        focal_sigmas=np.full(len(names), 0.02),
+    )
+    model = grow(every, still, limits, common, seed)
+    if model is None:
+        return Rejected(Reason.OBSERVATIONS_DISAGREE, {"pairs": float((np.triu(common) >= LEAST_COMMON).sum())})
+
+    # 2. All observations, with lenses free: which stated focal lengths are clearly off?
+    chosen = [every[k] for k in model.cameras]
+    placed = tuple(names[k] for k in model.cameras)
+    checked = _finally(chosen, still, model, replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA)))
+    spread = covariances(checked)
+    off = []
+    for k in range(len(placed)):
+        change = abs(float(checked.state.log_focal[k]))
+        if change > max(LEAST_FOCAL_CHANGE, FOCAL_DEVIATIONS * spread.focal_sigma(k)):
+            off.append(k)
+
+    # 3. And with the others as stated.
+    sigmas = np.zeros(len(placed))
+    sigmas[off] = np.inf
+    log_focal = np.where(sigmas > 0, checked.state.log_focal, 0.0)
+    state = replace(checked.state, log_focal=log_focal)
+    final_limits = replace(limits, focal_sigmas=sigmas)
+    adjusted = _finally(chosen, still, GrownModel(model.cameras, replace(checked, state=state)), final_limits)
+    nearest = tuple(seen_by(t, c, adjusted.moments).nearest for t, c in zip(chosen, adjusted.state.clocks, strict=True))
+    return Solved(placed, tracks, adjusted, final_limits, common, nearest, tuple(placed[k] for k in off))
+
+
+def _seconds(tracks: Sequence[Track], unit: float) -> float:
+    times = np.concatenate([track.time for track in tracks])
+    return float(np.ptp(times)) / unit
+
+
+def _finally(tracks: Sequence[Track], still: Bools, model: GrownModel, limits: Limits) -> Adjusted:
+    """The cameras adjusted to all moments, chosen anew after their clocks have moved."""
+    adjusted = model.adjusted
+    priors = [limits.prior(k, k == 0) for k in range(len(tracks))]
+    for _ in range(2):
+        moments = choose_moments(tracks, adjusted.state.clocks, still, MOST_MOMENTS)
+        state = replace(adjusted.state, X=np.zeros((0, 3)))
+        adjusted = adjust(tracks, moments, state, priors, noise=(np.nan,) * 3)
+    return adjusted
+
+
+def halves(solved: Solved) -> tuple[float, float] | None:
+    """Largest distance (model) and angle (degrees) of a camera between the solutions from two halves; None if one is too small.
+
+    The halves are alternating stretches of time; both start from the full solution.
+    """
+    adjusted = solved.adjusted
+    moments = adjusted.moments
+    tracks = [solved.tracks[name] for name in solved.names]
+    priors = [solved.limits.prior(k, k == 0) for k in range(len(tracks))]
+    block = _blocks(moments)
+    states = []
+    for parity in (0, 1):
+        rows = np.flatnonzero(block % 2 == parity)
+        valid = adjusted.used[:, rows].sum(axis=1)
+        if valid.min() < LEAST_COMMON:
+            return None
+        start = replace(adjusted.state, X=adjusted.state.X[rows])
+        states.append(adjust(tracks, moments.take(rows), start, priors, noise=(np.nan,) * 2).state)
+    return _apart(states[0], states[1])
+
+
+def _blocks(moments: Moments) -> Int64s:
+    """(m,) number of the stretch of time of each moment; things that don't move are dealt out by number."""
+    edges = np.quantile(moments.time, np.linspace(0, 1, BLOCKS + 1)[1:-1])
+    by_time = np.searchsorted(edges, moments.time)
+    return np.where(moments.is_still, moments.thing, by_time)
+
+
+def _apart(a: State, b: State) -> tuple[float, float]:
+    """Largest distance and angle between two solutions in the frame that brings their cameras closest."""
+    R = nearest_rotation(np.einsum("cji,cjk->ik", a.R, b.R))
+    a_arm = a.C - a.C.mean(axis=0)
+    b_arm = (b.C - b.C.mean(axis=0)) @ R.T
+    scale = float(np.sum(a_arm * b_arm) / np.sum(b_arm**2))
+    distance = float(np.linalg.norm(a_arm - scale * b_arm, axis=1).max())
+    angles = [angle_between_deg(A, B @ R.T) for A, B in zip(a.R, b.R, strict=True)]
+    return distance, max(angles)

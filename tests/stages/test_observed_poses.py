@@ -1,0 +1,184 @@
+"""Cameras are placed by what moves before them: exact synthetic truth, wrong observations, clocks, frames and failures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed_scenes import ObservedScene, Recording, camera_ring, plain_lens, record
+
+from wbflow_stages.core.rotations import Similarity, angle_between_deg, nearest_rotation
+from wbflow_stages.observed_poses import solve_observations
+from wbflow_stages.types import Bools, Float64s, Observations, ObservedPoses, Placement, Rejected, ThingSurvey
+
+
+def make_scene(seed: int, cameras: int = 4, path: str = "flight", spread_deg: float = 120, **recorded: float) -> ObservedScene:
+    """Cameras on an arc around a moving thing, 15 m away."""
+    rng = np.random.default_rng(seed)
+    ring = camera_ring(cameras, 15, spread_deg, rng)
+    lenses = {name: plain_lens() for name in ring}
+    return record(ring, lenses, path, 15, Recording(**recorded), rng)
+
+
+def solved(scene: ObservedScene, survey: ThingSurvey | None = None, **stated: Placement) -> ObservedPoses:
+    """The result, which must not be a rejection."""
+    result = solve_observations(scene.observations, scene.lenses, stated, survey)
+    assert isinstance(result, ObservedPoses), result
+    return result
+
+
+def to_truth(result: ObservedPoses, scene: ObservedScene) -> Similarity:
+    """The similarity that best brings the placed cameras to their true poses."""
+    names = list(result.placements)
+    turns = np.zeros((3, 3))
+    for name in names:
+        true_R = scene.truth[name].R
+        R = result.placements[name].R
+        assert true_R is not None and R is not None
+        turns += true_R.T @ R
+    R = nearest_rotation(turns)
+    source = np.array([result.placements[n].C for n in names])
+    target = np.array([scene.truth[n].C for n in names])
+    a = (source - source.mean(axis=0)) @ R.T
+    b = target - target.mean(axis=0)
+    scale = float(np.sum(a * b) / np.sum(a * a))
+    return Similarity(scale, R, target.mean(axis=0) - scale * R @ source.mean(axis=0))
+
+
+def errors(result: ObservedPoses, scene: ObservedScene, similarity: Similarity) -> tuple[Float64s, Float64s]:
+    """Distances in metres and angles in degrees from the truth, in the order of the placements."""
+    distances = []
+    angles = []
+    for name, placement in result.placements.items():
+        truth = scene.truth[name]
+        assert placement.C is not None and placement.R is not None and truth.R is not None
+        distances.append(np.linalg.norm(similarity.points(placement.C[None])[0] - truth.C))
+        angles.append(angle_between_deg(placement.R @ similarity.R.T, truth.R))
+    return np.array(distances), np.array(angles)
+
+
+@pytest.mark.parametrize("path", ["walk", "flight"])
+def test_synchronous_cameras_are_placed_within_millimetres(path: str) -> None:
+    scene = make_scene(0, path=path)
+    result = solved(scene)
+    assert list(result.placements) == ["cam0", "cam1", "cam2", "cam3"]
+    distances, angles = errors(result, scene, to_truth(result, scene))
+    assert distances.max() < 0.02
+    assert angles.max() < 0.05
+    assert result.reprojection_px is not None and result.reprojection_px < 1.5
+    assert not result.metric
+    for name, camera in result.cameras.items():
+        assert abs(camera.offset - scene.offsets[name]) < 0.003
+
+
+def test_clocks_that_differ_by_a_second_are_found() -> None:
+    scene = make_scene(1, offset_s=0.5)
+    result = solved(scene)
+    distances, _ = errors(result, scene, to_truth(result, scene))
+    assert len(distances) == 4
+    assert distances.max() < 0.02
+    for name, camera in result.cameras.items():
+        assert abs(camera.offset - scene.offsets[name]) < 0.005
+
+
+def test_a_third_of_the_observations_may_be_wrong() -> None:
+    scene = make_scene(0, offset_s=0.5, wrong_share=0.3)
+    result = solved(scene)
+    distances, angles = errors(result, scene, to_truth(result, scene))
+    assert len(distances) == 4
+    assert distances.max() < 0.05
+    assert angles.max() < 0.15
+    shares = [camera.used / camera.observations for camera in result.cameras.values()]
+    assert max(shares) < 0.8
+
+
+def survey_of(scene: ObservedScene, offset: float = 0.0, origin: tuple[float, float, float] = (0, 0, 0)) -> ThingSurvey:
+    """The thing's own positions every half second, good to 0.5 m, by a clock that is `offset` behind that of the first camera."""
+    rng = np.random.default_rng(5)
+    rows = slice(250, -250, 12)
+    position = scene.path[rows] + origin + rng.normal(0, 0.5, scene.path[rows].shape)
+    count = len(position)
+    return ThingSurvey(("lamp",), np.zeros(count, np.int32), scene.path_times[rows] - offset, position, np.full(count, np.nan))
+
+
+def test_a_survey_of_the_thing_gives_scale_and_frame_far_from_the_origin() -> None:
+    scene = make_scene(2)
+    origin = (313334.0, 5154531.0, 400.0)
+    result = solved(scene, survey_of(scene, 0.4, origin))
+    assert result.metric
+    assert result.survey_m is not None and 0.5 < result.survey_m < 1.0
+    identity = Similarity(1.0, np.eye(3), -np.array(origin))
+    distances, angles = errors(result, scene, identity)
+    assert distances.max() < 0.4
+    assert angles.max() < 1.0
+    # and within the frame no precision is lost
+    distances, _ = errors(result, scene, to_truth(result, scene))
+    assert distances.max() < 0.02
+
+
+def test_two_known_cameras_give_the_frame() -> None:
+    scene = make_scene(3)
+    known = {"cam0": scene.truth["cam0"], "cam3": scene.truth["cam3"]}
+    result = solved(scene, None, **known)
+    assert result.metric
+    distances, angles = errors(result, scene, Similarity())
+    assert distances.max() < 0.03
+    assert angles.max() < 0.1
+
+
+def test_a_focal_length_that_is_off_is_said() -> None:
+    scene = make_scene(4)
+    K = np.array(scene.lenses["cam2"].K)
+    K[:2, :2] *= 1.03
+    result = solved(replace(scene, lenses={**scene.lenses, "cam2": replace(scene.lenses["cam2"], K=K)}))
+    changes = {name: camera.focal_change for name, camera in result.cameras.items()}
+    assert [name for name, change in changes.items() if change is not None] == ["cam2"]
+    assert changes["cam2"] == pytest.approx(1 / 1.03 - 1, abs=0.003)
+    assert any("cam2: its focal length" in note for note in result.notes)
+
+
+def without(observations: Observations, rows: Bools) -> Observations:
+    """The observations without some rows."""
+    keep = ~rows
+    return replace(
+        observations,
+        camera=observations.camera[keep],
+        thing=observations.thing[keep],
+        time=observations.time[keep],
+        xy=observations.xy[keep],
+        sigma_px=observations.sigma_px[keep],
+    )
+
+
+def rejected(observations: Observations | None, scene: ObservedScene) -> str:
+    """The reason of a rejection."""
+    result = solve_observations(observations, scene.lenses, {})
+    assert isinstance(result, Rejected), result
+    return result.reason
+
+
+def test_no_observations_are_said() -> None:
+    scene = make_scene(0, cameras=2, seconds=20)
+    assert rejected(None, scene) == "there are no observations of things"
+
+
+def test_one_camera_alone_is_said() -> None:
+    scene = make_scene(0, cameras=2, seconds=20)
+    alone = without(scene.observations, scene.observations.camera == 1)
+    assert rejected(alone, scene).startswith("1 cameras have observations and a known lens")
+
+
+def test_cameras_that_never_see_the_thing_at_once_are_said() -> None:
+    scene = make_scene(0, cameras=2, seconds=60)
+    o = scene.observations
+    apart = without(o, ((o.camera == 0) & (o.time > 20)) | ((o.camera == 1) & (o.time < 40)))
+    assert rejected(apart, scene).startswith("no two cameras see a thing at the same time")
+
+
+def test_results_are_the_same_every_time() -> None:
+    scene = make_scene(5, cameras=3, seconds=30, offset_s=0.5)
+    first = solved(scene)
+    second = solved(scene)
+    assert repr(first.cameras) == repr(second.cameras)
+    assert np.array_equal(first.track, second.track)
