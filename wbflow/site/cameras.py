@@ -29,10 +29,23 @@ _OWN_PINHOLE = frozenset({LensModel.PINHOLE, LensModel.BROWN})
 """Lens models whose frames keep the K of the lens, however wide it is: such a camera is never split into views."""
 
 
-def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -> list[Camera]:
-    """The cameras of the site; their faults are added to `problems`.
+_REMEDY_OF_UNIT = (
+    "OpenCV writes T in the unit that the board's squares were given in (often millimetres, or squares): "
+    "write it in metres, and add a line to that file: unit: m"
+)
 
-    frame: the local frame for positions given by latitude and longitude; None if there are none.
+
+def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems, doubts: Problems) -> list[Camera]:
+    """The cameras of the site.
+
+    Parameters
+    ----------
+    file : SiteFile
+        The validated file.
+    frame : LocalFrame, optional
+        The local frame for positions given by latitude and longitude; None if there are none.
+    problems, doubts : Problems
+        Take the cameras' faults, and what calibrations leave open.
     """
     # the file of all cameras; a camera's own file takes precedence, and the site file's own entries do so over both
     calibrated = _calibrated_cameras(file.calibration, ("calibration",), problems)
@@ -52,6 +65,9 @@ def read_cameras(file: SiteFile, frame: LocalFrame | None, problems: Problems) -
                 problems.add((*location, "mask"), f"there is no file {printable(mask)}", remedy)
         lens = _merged_lens(camera, entry)
         placement = _merged_placement(camera, entry, frame)
+        if entry is not None and entry.doubt and placement == entry.placement:
+            place: Location = (*location, "calibration") if camera.calibration else ("calibration",)
+            doubts.add(place, entry.doubt, _REMEDY_OF_UNIT)
         cameras.append(Camera(camera.id, lens, placement, mask, camera.privacy, camera.images))
     return cameras
 

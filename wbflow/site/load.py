@@ -56,7 +56,8 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     file = _validated(document, problems)
     observations, thing_survey = _read_tables(file, problems)
     frame = local_frame(file, thing_survey.first_geodetic if thing_survey else None, problems)
-    cameras = read_cameras(file, frame, problems)
+    doubts = Problems(document)
+    cameras = read_cameras(file, frame, problems, doubts)
     survey = read_survey(file, frame, problems)
     if thing_survey:
         thing_survey = _in_metres(thing_survey, frame, problems)
@@ -65,7 +66,7 @@ def site_of(document: Document, work: str | Path | None = None) -> Site:
     bindings = Bindings(reader)
     stages, notes = read_stages(file.stages, bindings, problems)
     _check_pairs(file, problems, notes)
-    doubts = check_plausibility(file, cameras, stages, reader, problems)
+    check_plausibility(file, cameras, stages, reader, problems, doubts)
     captures = _captures_pattern(file, problems)
     if not is_name(file.site):
         remedy = "use letters, digits, '_', '.', '-' (not dots alone), at most 100"

@@ -61,9 +61,14 @@ FACTOR_OF_DEFAULT = 1000.0
 
 
 def check_plausibility(
-    file: SiteFile, cameras: Sequence[Camera], stages: Mapping[str, StageSettings], reader: Functions, problems: Problems
-) -> Problems:
-    """Add what cannot be meant to `problems`; returns what is only unlikely.
+    file: SiteFile,
+    cameras: Sequence[Camera],
+    stages: Mapping[str, StageSettings],
+    reader: Functions,
+    problems: Problems,
+    doubts: Problems,
+) -> None:
+    """Add what cannot be meant to `problems`, and what is only unlikely to `doubts`.
 
     Parameters
     ----------
@@ -71,10 +76,9 @@ def check_plausibility(
         The validated file, and its cameras and settings of stages with calibrations merged.
     reader : Functions
         Tells the meaning of parameters.
-    problems : Problems
-        The problems of the file.
+    problems, doubts : Problems
+        The problems of the file, and the doubts about it.
     """
-    doubts = Problems(problems.document)
     for position, camera in enumerate(cameras):
         _check_lens(file, position, camera.lens, problems, doubts)
         _check_privacy(position, camera, problems)
@@ -87,7 +91,6 @@ def check_plausibility(
     _check_expectations(file, doubts)
     _check_notify(file, problems.document.path.resolve().parent, doubts)
     _check_parameters(stages, reader, problems, doubts)
-    return doubts
 
 
 def _check_lens(file: SiteFile, position: int, lens: Lens, problems: Problems, doubts: Problems) -> None:

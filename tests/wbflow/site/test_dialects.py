@@ -192,6 +192,25 @@ def test_a_stereo_calibration_of_opencv_gives_the_left_and_the_right_camera(
     assert (cameras["left"].placement.C, cameras["left"].lens.K) == ([0, 0, 0], K)
 
 
+def test_the_baseline_of_a_stereo_calibration_is_doubted_until_its_unit_is_stated(tmp_path: Path) -> None:
+    stereo: dict[str, object] = {"M1": K, "D1": BROWN, "M2": K, "D2": BROWN, "image_width": WIDTH, "image_height": HEIGHT}
+    pose: dict[str, object] = {"R": R.tolist(), "T": [-120.0, 0.0, 0.5]}
+    (tmp_path / "site.yaml").write_text(
+        "site: s\ncaptures: {root: ., pattern: '{camera}.jpg'}\ncalibration: stereo.yaml\ncameras: [left, right]\n"
+    )
+
+    def doubts(content: dict[str, object]) -> list[str]:
+        write(tmp_path / "stereo.yaml", content)
+        return [str(doubt) for doubt in load_site(tmp_path).doubts]
+
+    (doubt,) = doubts(stereo | pose)
+    assert "site.yaml:3:14: calibration: T of a stereo calibration has no unit" in doubt
+    assert "120.001 is taken as the metres between the two cameras" in doubt and "unit: m" in doubt
+    assert doubts(stereo | pose | {"unit": "m"}) == [] == doubts(stereo)
+    with pytest.raises(SiteError, match="unit is mm, and lengths are metres here"):
+        doubts(stereo | pose | {"unit": "mm"})
+
+
 def test_a_rotation_in_a_ros_message_is_the_rectification_and_no_pose(tmp_path: Path) -> None:
     projection = np.column_stack([K, [-80.0, 0, 0]]).ravel().tolist()
     message = {"header": {"frame_id": "gate"}, "width": WIDTH, "height": HEIGHT, "distortion_model": "plumb_bob", "D": BROWN}

@@ -88,6 +88,8 @@ class Calibrated(BaseModel):
     position_sigma_m: Sigma | None = None
     rotation_sigma_deg: Sigma | None = None
     metric: Any = True
+    doubt: str = ""
+    """What a person should confirm about the pose, which the file leaves open; "" if nothing."""
 
     @field_validator("K")
     @classmethod

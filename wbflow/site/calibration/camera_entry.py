@@ -31,6 +31,8 @@ _COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE_COEFFICIENT_KEYS = ("k1", "k2", "k3", "k4")
 _MODEL_KEYS = ("distortion_model", "lens_model", "camera_model", "model")
 _ROS_KEYS = ("header", "binning_x", "binning_y", "roi", "rectification_matrix", "projection_matrix")
+UNIT_KEYS = ("unit", "units", "length_unit")
+"""Keys for the unit of lengths."""
 _KNOWN_KEYS = (
     *("K", "camera_matrix", "fx", "fy", "cx", "cy", "width", "height", "image_width", "image_height", "distortion", "model"),
     *("distortion_coefficients", "dist", "D", "position_sigma_m", "rotation_sigma_deg", "metric", *POSE_KEYS),
@@ -78,7 +80,7 @@ def read_camera(entry: Entry, needs_distortion: bool = False) -> Calibrated:
 
 def _refuse_other_units(entry: Entry) -> None:
     """Refuse a camera whose lengths are stated to be in another unit than metres."""
-    key = entry.key(("unit", "units", "length_unit"))
+    key = entry.key(UNIT_KEYS)
     if key is not None and text_of(entry[key]).lower() not in {"m", "metre", "metres", "meter", "meters"}:
         raise entry.fault(key, f"is {entry[key]}, and lengths are metres here", "write positions in metres, and remove it")
 

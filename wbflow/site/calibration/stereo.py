@@ -7,10 +7,11 @@ OpenCV: samples/cpp/stereo_calib.cpp (intrinsics.yml and extrinsics.yml); cv::st
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from .calibrated import Calibrated
-from .camera_entry import read_camera
+from .camera_entry import UNIT_KEYS, read_camera
 from .entry import Entry, plain
 
 _LENS_KEYS = {
@@ -33,9 +34,11 @@ def is_stereo(data: dict[str, Any]) -> bool:
 def read_stereo(data: dict[str, Any]) -> dict[str, Calibrated]:
     """The cameras `left` and `right`; the axes of the left one become the world's (x_right = R x_left + T).
 
-    Without R and T, only the lenses are known.  Raises Faulty.
+    Without R and T, only the lenses are known.  OpenCV gives T in the unit of the board's squares, and does not write which: it
+    is taken as metres, which is doubted unless somebody has added `unit: m`.  Raises Faulty.
     """
     whole = Entry(data)
+    unit_key = whole.key(UNIT_KEYS)
     cameras: dict[str, Calibrated] = {}
     # the file has one size for both cameras, and one pose: the right camera's
     size = {}
@@ -54,11 +57,17 @@ def read_stereo(data: dict[str, Any]) -> dict[str, Calibrated]:
         own |= size
         if number == 2:
             own |= pose
+            if unit_key is not None:
+                own[unit_key] = whole[unit_key]
         elif "R" in pose:  # the left camera is the world's origin
             own |= {"R": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "C": [0.0, 0.0, 0.0]}
         cameras[name] = read_camera(Entry(own, (), name), needs_distortion=True)
     whole.ignore(*size, *pose, *_RECTIFICATION)
     whole.finish((), _REMEDY)
+    right = cameras["right"]
+    if right.C is not None and unit_key is None:
+        doubt = f"T of a stereo calibration has no unit: {math.hypot(*right.C):g} is taken as the metres between the two cameras"
+        cameras["right"] = right.model_copy(update={"doubt": doubt})
     return cameras
 
 
