@@ -15,8 +15,14 @@ from ..io.clouds import Columns
 from ..io.rasters import geotiff, jpeg, png
 from ..types import Camera, Change, Changes, Coverage, CutFill, Float32s, Float64s, GroundGrid, Poses, Uint8s
 
-_WIDTH = 960
+_WIDTH = 640
 """Longer side of a map, pixels, before it is extended for cameras: cells get as many whole pixels as fit."""
+_PHONE_WIDTH_PX = 350
+"""Width of a picture of the report on a phone, pixels."""
+_LETTERS_PX = 11
+"""Height of the letters there, pixels, with what reaches below the line."""
+_FONT_PX = 30
+"""The same height of OpenCV's letters at scale 1, pixels."""
 _QUALITY = 85
 """JPEG quality of pictures, per cent."""
 _BACKGROUND = (24, 24, 24)
@@ -137,9 +143,41 @@ def draw_plan(grid: GroundGrid, colours: Uint8s, cameras: Mapping[str, Camera]) 
         across = np.array([-ahead[1], ahead[0]])
         corners = pixel + np.array([np.zeros(2), 22 * ahead + 10 * across, 22 * ahead - 10 * across])
         cv2.polylines(canvas, [np.round(corners).astype(np.int32)], True, white, 2, cv2.LINE_AA)
-        text_x, text_y = (pixel + 6).astype(int).tolist()
-        cv2.putText(canvas, name, (text_x, text_y), 0, 0.45, white, 1, cv2.LINE_AA)
+        x, y = (pixel + 6).astype(int).tolist()
+        _write(canvas, name, (x, y), white)
     return np.asarray(canvas, dtype=np.uint8)
+
+
+def _letter_scale(width: int) -> float:
+    """Scale of OpenCV's letters in a picture of this width that people can still read on a phone."""
+    return _LETTERS_PX * width / (_PHONE_WIDTH_PX * _FONT_PX)
+
+
+def _write(image: Uint8s, text: str, place: tuple[int, int], colour: tuple[int, int, int], outline: bool = False) -> None:
+    """Write a text into a picture, moved so that all of it is inside.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        The picture, which is changed.
+    text : str
+    place : tuple of int
+        x and y of the beginning of the line, pixels.
+    colour : tuple of int
+        RGB.
+    outline : bool
+        Draw a black outline, which shows on any background?
+    """
+    height, width = image.shape[:2]
+    scale = _letter_scale(width)
+    thickness = max(1, round(1.5 * scale))
+    (text_width, text_height), below = cv2.getTextSize(text, 0, scale, thickness)
+    x = min(place[0], width - text_width - 2)
+    y = min(place[1], height - below - 2)
+    start = max(x, 2), max(y, text_height + 2)
+    if outline:
+        cv2.putText(image, text, start, 0, scale, (0, 0, 0), 3 * thickness, cv2.LINE_AA)
+    cv2.putText(image, text, start, 0, scale, colour, thickness, cv2.LINE_AA)
 
 
 def _grid_pixel(grid: GroundGrid, X: Float64s, scale: float) -> Float64s:
@@ -152,15 +190,17 @@ def _grid_pixel(grid: GroundGrid, X: Float64s, scale: float) -> Float64s:
 
 def _with_legend(image: Uint8s) -> Uint8s:
     """The image with a strip below that shows the colours and their numbers of cameras."""
-    width = max(image.shape[1], 60 * len(_COLOURS))
-    canvas = np.full((image.shape[0] + 34, width, 3), _BACKGROUND, np.uint8)
-    canvas[: image.shape[0], : image.shape[1]] = image
+    height, width = image.shape[:2]
+    side = round(_letter_scale(width) * _FONT_PX)  # of each coloured square, as high as the letters
+    gap = side // 2
+    canvas = np.full((height + side + 2 * gap, width, 3), _BACKGROUND, np.uint8)
+    canvas[:height] = image
     for k, colour in enumerate(_COLOURS):
-        x = 8 + 58 * k
-        y = image.shape[0] + 8
-        cv2.rectangle(canvas, (x, y), (x + 18, y + 18), colour, -1)
+        x = gap + (width - gap) * k // len(_COLOURS)
+        y = height + gap
+        cv2.rectangle(canvas, (x, y), (x + side, y + side), colour, -1)
         label = f"{k}+" if k == _MOST_VIEWS else str(k)
-        cv2.putText(canvas, label, (x + 24, y + 15), 0, 0.5, (230, 230, 230), 1, cv2.LINE_AA)
+        _write(canvas, label, (x + side + gap // 2, y + side - side // 6), (230, 230, 230))
     return np.asarray(canvas, dtype=np.uint8)
 
 
@@ -313,12 +353,11 @@ def _mark(image: Uint8s, changes: Changes) -> None:
         y = (grid.top - north) / grid.cell * scale
         radius = max(6.0, 0.6 * np.hypot(change.length, change.width) / grid.cell * scale)
         cv2.circle(image, (round(x), round(y)), round(radius), (20, 20, 20), 2, cv2.LINE_AA)
-        cv2.putText(image, name, (round(x + radius), round(y - 4)), 0, 0.6, (20, 20, 20), 2, cv2.LINE_AA)
+        _write(image, name, (round(x + radius), round(y - 4)), (255, 255, 255), outline=True)
 
 
 def _with_label(crop: Uint8s, label: str) -> Uint8s:
     """The picture with a label in white on a black outline, which shows on any background."""
     labelled = crop.copy()
-    cv2.putText(labelled, label, (6, 24), 0, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
-    cv2.putText(labelled, label, (6, 24), 0, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
+    _write(labelled, label, (6, 0), (255, 255, 255), outline=True)
     return labelled

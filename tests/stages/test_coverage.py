@@ -115,6 +115,18 @@ def test_coverage_is_drawn_and_written_as_a_geotiff() -> None:
     assert list(dict(coverage_files(covered()))) == ["coverage.png"]
 
 
+def test_the_letters_of_the_map_can_be_read_on_a_phone_and_are_inside_the_picture() -> None:
+    coverage = covered()
+    legend = cv2.imdecode(np.frombuffer(dict(coverage_files(coverage))["coverage.png"], np.uint8), 1)
+    with_cameras = cv2.imdecode(coverage_preview(coverage, POSES), 1)
+    assert legend is not None and with_cameras is not None
+    # the digits of the legend are nearly white, which no colour of the map is; a digit is 0.7 as high as its font
+    rows = np.flatnonzero((legend.min(axis=2) > 190).any(axis=1))
+    height_on_phone = (rows[-1] - rows[0] + 1) * 350 / legend.shape[1]
+    assert height_on_phone >= 0.7 * 11
+    assert with_cameras[:, -2:].max() < 100, "names of cameras at the edge are not cut off"
+
+
 def test_the_corners_of_the_map_layer_enclose_its_cells() -> None:
     coverage = covered()
     data = coverage_layer(coverage)
