@@ -10,25 +10,16 @@ Extraction Network via Deformable Transformation, IEEE Transactions on Instrumen
 
 from __future__ import annotations
 
-import io
-import pickle
 import sys
-import zipfile
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper
+from onnx_graph import Graph, Weights, state_dict
 
-Array = NDArray[Any]
-Weights = Mapping[str, Array]
-
-_STORAGES = {"FloatStorage": np.float32, "LongStorage": np.int64}
-"""Type of the numbers in each kind of storage of PyTorch."""
 _BN_EPSILON = 1e-5
 """Added to the variance by batch normalisation; PyTorch's default."""
 _NMS_RADIUS = 2
@@ -44,80 +35,16 @@ def main() -> None:
     onnx.save(aliked(state_dict(source)), str(target))
 
 
-def state_dict(path: Path) -> Weights:
-    """The arrays of a PyTorch state dict by name, read without PyTorch: a ZIP archive of a pickle and one file per storage."""
-    with zipfile.ZipFile(path) as archive:
-        pickled = next(name for name in archive.namelist() if name.endswith("data.pkl"))
-        folder = pickled.removesuffix("data.pkl")
-
-        def storage(key: str, kind: str) -> Array:
-            return np.frombuffer(archive.read(f"{folder}data/{key}"), _STORAGES[kind])
-
-        weights: Weights = _Unpickler(archive.read(pickled), storage).load()
-    return weights
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads tensors as arrays; refuses every other kind of object."""
-
-    def __init__(self, data: bytes, storage: Callable[[str, str], Array]) -> None:
-        super().__init__(io.BytesIO(data))
-        self._storage = storage
-
-    def find_class(self, module: str, name: str) -> Any:
-        if name in _STORAGES:
-            return name
-        if name == "OrderedDict":
-            return OrderedDict
-        if name == "_rebuild_tensor_v2":
-            return _tensor
-        raise pickle.UnpicklingError(f"{module}.{name} is no part of a state dict")
-
-    def persistent_load(self, pid: Any) -> Array:
-        _, kind, key, *_ = pid
-        return self._storage(key, kind)
-
-
-def _tensor(storage: Array, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> Array:
-    """A tensor from its storage; strides count elements."""
-    strides = [step * storage.itemsize for step in stride]
-    return np.array(np.lib.stride_tricks.as_strided(storage[offset:], size, strides))
-
-
-class _Graph:
-    """Collects the nodes and constants of a model; each method adds one node and returns the name of its output."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def add(self, kind: str, *inputs: str, **attributes: Any) -> str:
-        """Add a node of this kind."""
-        output = f"{kind.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
-        return output
-
-    def constant(self, value: Any, kind: Any = np.float32) -> str:
-        """Add an array as a constant."""
-        name = f"constant_{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.asarray(value, kind), name))
-        return name
-
-    def integers(self, *values: int) -> str:
-        """Add a vector of int64: a shape, axes, starts or ends."""
-        return self.constant(values, np.int64)
-
-
 def aliked(weights: Weights) -> Any:
     """The model of a state dict."""
-    graph = _Graph()
+    graph = Graph()
     features, score_map = _maps(graph, weights)
     places, keypoints, scores = _keypoints(graph, score_map)
     descriptors = _descriptors(graph, weights, features, places)
     return _model(graph, {"keypoints": keypoints, "descriptors": descriptors, "scores": scores})
 
 
-def _maps(graph: _Graph, weights: Weights) -> tuple[str, str]:
+def _maps(graph: Graph, weights: Weights) -> tuple[str, str]:
     """The feature map (1, d, h, w), of unit length in each pixel, and the score map (1, 1, h, w), 0 to 1."""
 
     def normalized(x: str, name: str) -> str:
@@ -173,7 +100,7 @@ def _maps(graph: _Graph, weights: Weights) -> tuple[str, str]:
     return graph.add("LpNormalization", features, axis=1, p=2), score_map
 
 
-def _keypoints(graph: _Graph, score_map: str) -> tuple[str, str, str]:
+def _keypoints(graph: Graph, score_map: str) -> tuple[str, str, str]:
     """Differentiable keypoint detection (section III.C).
 
     Returns
@@ -238,7 +165,7 @@ def _keypoints(graph: _Graph, score_map: str) -> tuple[str, str, str]:
     return places, graph.add("Unsqueeze", keypoints, graph.integers(0)), scores
 
 
-def _from_minus_one(graph: _Graph, places: str, shape: str) -> str:
+def _from_minus_one(graph: Graph, places: str, shape: str) -> str:
     """Places (..., 2) in pixels as numbers from -1 to 1, the centres of the first and the last pixel; shape: (h, w)."""
     size = graph.add("Cast", graph.add("Gather", shape, graph.integers(1, 0), axis=0), to=TensorProto.FLOAT)
     last = graph.add("Sub", size, graph.constant(1))
@@ -246,7 +173,7 @@ def _from_minus_one(graph: _Graph, places: str, shape: str) -> str:
     return graph.add("Sub", graph.add("Div", doubled, last), graph.constant(1))
 
 
-def _descriptors(graph: _Graph, weights: Weights, features: str, places: str) -> str:
+def _descriptors(graph: Graph, weights: Weights, features: str, places: str) -> str:
     """The sparse deformable descriptor head (section III.B): descriptors (1, n, d) at places (n, 2) in pixels."""
     axis0 = graph.integers(0)
     axis1 = graph.integers(1)
@@ -282,10 +209,9 @@ def _descriptors(graph: _Graph, weights: Weights, features: str, places: str) ->
     return graph.add("Unsqueeze", graph.add("LpNormalization", descriptors, axis=1, p=2), axis0)
 
 
-def _model(graph: _Graph, outputs: Mapping[str, str]) -> Any:
+def _model(graph: Graph, outputs: Mapping[str, str]) -> Any:
     """The graph as a model of the published interface; outputs: the name of each in the graph."""
-    for name, output in outputs.items():
-        graph.nodes.append(helper.make_node("Identity", [output], [name]))
+    graph.name_outputs(outputs)
     made = helper.make_graph(
         graph.nodes,
         "aliked",

@@ -160,6 +160,7 @@ def test_neighbours_agree_with_right_matches_and_not_with_wrong_ones() -> None:
 def test_wide_pairs_of_the_fountain_have_half_as_many_matches_again() -> None:
     if not WEIGHTS.exists():
         pytest.skip("no weights of ALIKED beside the project")
+    from onnx_graph import state_dict
     from pairs_with_truth import DATA, photographed
 
     if not (DATA / "fountain").exists():
@@ -171,7 +172,7 @@ def test_wide_pairs_of_the_fountain_have_half_as_many_matches_again() -> None:
     views = photographed("fountain", 1024, ["2", "9"])
     left, right = views["2"], views["9"]  # 81 degrees apart
     F = fundamental_from_cameras(left.camera, right.camera)
-    trained = as_capture(aliked_onnx.state_dict(WEIGHTS), "aliked-n32.onnx")
+    trained = as_capture(state_dict(WEIGHTS), "aliked-n32.onnx")
     correct = {}
     for detector in ("sift", "onnx"):
         model = trained if detector == "onnx" else None

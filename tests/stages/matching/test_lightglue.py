@@ -5,6 +5,8 @@ LightGlue itself is measured by `scripts/bench_matching.py`, from weights that a
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -30,6 +32,9 @@ from wbflow_stages.types import (
     Uint8s,
     View,
 )
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
+lightglue_onnx = pytest.importorskip("lightglue_onnx", reason="the script needs the package onnx")
 
 WIDTH, HEIGHT = 1600, 1200
 K = np.array([[1400.0, 0, 800], [0, 1400.0, 600], [0, 0, 1]])
@@ -193,3 +198,47 @@ def test_a_file_of_another_interface_is_refused_with_what_it_has_and_what_is_wan
     left, right = two_views()
     with pytest.raises(ValueError, match=r"mine.onnx takes image0 .* a matcher of kpts0, .* is run by matcher: onnx"):
         matched(left, right, two_pictures(96, 64))
+
+
+def untrained_lightglue(of_sift: bool = False) -> bytes:
+    """LightGlue as `scripts/lightglue_onnx.py` writes it, small and with random weights."""
+    random = np.random.default_rng(5)
+    channels = 16
+    weights = {"posenc.Wr.weight": random.normal(size=(2, 4 if of_sift else 2))}
+    sizes = {"input_proj": (channels, 64), "log_assignment.1.final_proj": (channels, channels)}
+    sizes["log_assignment.1.matchability"] = (1, channels)
+    for layer in range(2):
+        sizes[f"self_attn.{layer}.Wqkv"] = (3 * channels, channels)
+        for name in (f"self_attn.{layer}.out_proj", *(f"cross_attn.{layer}.{part}" for part in ("to_qk", "to_v", "to_out"))):
+            sizes[name] = (channels, channels)
+        for name in (f"self_attn.{layer}.ffn", f"cross_attn.{layer}.ffn"):
+            sizes |= {f"{name}.0": (2 * channels, 2 * channels), f"{name}.3": (channels, 2 * channels)}
+            weights |= {f"{name}.1.weight": np.ones(2 * channels), f"{name}.1.bias": np.zeros(2 * channels)}
+    sizes["log_assignment.0.final_proj"] = (channels, channels)
+    for name, (out, into) in sizes.items():
+        weights |= {f"{name}.weight": random.normal(0, into**-0.5, (out, into)), f"{name}.bias": np.zeros(out)}
+    weights["log_assignment.1.matchability.bias"] += 3.0
+    arrays = {name: value.astype(np.float32) for name, value in weights.items()}
+    text: bytes = lightglue_onnx.lightglue(arrays, least_score=0).SerializeToString()
+    return text
+
+
+def test_the_network_written_from_weights_does_not_depend_on_the_order_of_keypoints_or_their_common_place() -> None:
+    left, right = two_views(60)
+    model = untrained_lightglue()
+    first, i1, i2 = matched(left, right, model)
+    assert len(i1) >= 8 and len(np.unique(i2)) == len(i2)
+
+    # the same points, in another order, 30 px further to the right: places are encoded relative to each other
+    order = np.random.default_rng(6).permutation(60)
+    moved = learned(right.xy[order] + [30, 0], right.descriptors[order].astype(np.float64))
+    again, j1, j2 = matched(left, moved, model)
+    np.testing.assert_array_equal(i1, j1)
+    np.testing.assert_array_equal(i2, order[j2])
+    np.testing.assert_allclose(first.probability, again.probability, atol=1e-4)
+
+
+def test_the_network_of_keypoints_with_frames_takes_them() -> None:
+    left, right = (learned(side.xy, side.descriptors.astype(np.float64), PLAIN) for side in two_views(60))
+    _, i1, _ = matched(left, right, untrained_lightglue(of_sift=True))
+    assert len(i1) >= 8
