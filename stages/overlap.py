@@ -22,8 +22,9 @@ import numpy as np
 from .core.cameras import camera_id, field_ratio
 from .matching.appearance import most_similar
 from .matching.matcher import plain_rows
+from .orientation.observed_placements import with_observed
 from .twoview.shared_ground import shared_ground
-from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, Overlap, Placement, View
+from .types import Bools, Camera, Features, Float32s, Float64s, Int32s, Int64s, ObservedPoses, Overlap, Placement, View
 
 _MOST_FOR_ALL_PAIRS = 32
 """Up to this many views all pairs are compared."""
@@ -37,6 +38,7 @@ def estimate_overlap(
     views: Mapping[str, View],
     placements: Mapping[str, Placement],
     features: Mapping[str, Features],
+    observed: ObservedPoses | None = None,
     *,
     descriptors: int = 800,
     ratio: float = 0.85,
@@ -52,12 +54,16 @@ def estimate_overlap(
     views : the pinhole of every camera that has a frame, in the order of the site.
     placements : poses where known.
     features : keypoints of each camera; used for pairs in which a pose or the intrinsics are missing.
+    observed : poses from observations of things, if there are any.
     descriptors : number of each view's largest keypoints that are compared.
     ratio : a resemblance counts if its distance is below this share of the second nearest's, both ways.
     candidates : among more than 32 views, a pair without both poses is compared only if one view is among this many that look
         most like the other.
     """
     # 1. Views with poses: by the ground that they share.  Views are numbered by their position in the site.
+    known = with_observed(views, placements, observed)
+    views = known.views
+    placements = known.placements
     cameras: dict[int, Camera] = {}
     keypoints: dict[int, _Keypoints] = {}
     for i, (name, view) in enumerate(views.items()):

@@ -22,6 +22,7 @@ from .core.luminance import grey_levels
 from .core.rotations import angle_between_deg
 from .orientation.calibration_check import check_calibration, check_solved_lens
 from .orientation.moved_cameras import NewPose, find_moved_cameras
+from .orientation.observed_placements import with_observed
 from .orientation.pose_check import (
     TURNED_DEG,
     Evidence,
@@ -43,6 +44,7 @@ from .types import (
     Camera,
     Frame,
     Geometry,
+    ObservedPoses,
     Pair,
     PairCheck,
     Placement,
@@ -67,6 +69,7 @@ def solve_poses(
     geometries: Mapping[Pair, Geometry],
     survey: Survey | None = None,
     frames_if_rough: Mapping[str, Frame] | None = None,
+    observed: ObservedPoses | None = None,
     *,
     max_rotation_error_deg: float = ROTATION_ERROR_DEG,
     max_epipolar_px: float = EPIPOLAR_ERROR_PX,
@@ -84,6 +87,7 @@ def solve_poses(
     geometries : two-view geometries of the pairs.  If all poses and intrinsics are stated, they check these.
     survey : known distances and control points.
     frames_if_rough : the frames, used if keypoints determine poses no better than their stated standard deviations.
+    observed : poses from observations of things, if there are any: evidence like stated ones.
     max_rotation_error_deg : drop a pair if its relative rotation is off by more than this from what the others agree on, degrees.
     max_epipolar_px : drop a pair if its inliers are off the solved cameras' epipolar lines by more than this, pixels (median).
     min_angle_deg : reject if the rays of the matches converge by less than this (median) in all pairs, in degrees: cameras at
@@ -92,11 +96,14 @@ def solve_poses(
     if len(views) < 2:
         return Rejected(Reason.ONE_CAMERA, {"cameras": len(views)})
     survey = survey or Survey()
+    places = with_observed(views, placements, observed)
+    views = places.views
+    placements = places.placements
     stated = stated_cameras(views, placements)
     if not geometries:
         if not stated:
             return Rejected(Reason.NO_POSED_CAMERA, {"cameras": len(views)})
-        return check_survey(_as_stated(views, placements, stated, survey), views, placements, survey)
+        return places.with_sources(check_survey(_as_stated(views, placements, stated, survey), views, placements, survey))
 
     # 1. Compare the stated poses with the images.
     known = _compared_with_images(stated, placements, geometries, frames_if_rough or {})
@@ -130,7 +137,8 @@ def solve_poses(
     sources = {name: _source(camera, stated.get(name), trusted.get(name)) for name, camera in poses.cameras.items()}
     calibration = _with_solved_lenses(known.calibration, poses, sources, geometries)
     poses = replace(poses, sources=sources, calibration=calibration)
-    return _checked(check_survey(poses, views, placements, survey), known, max_epipolar_px)
+    poses = _checked(check_survey(poses, views, placements, survey), known, max_epipolar_px)
+    return places.with_sources(poses)
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def hold_poses(
     # 2. The calibration is checked again: those that were moved must not contradict the others.
     stated = {}
     for name, camera in pinned.cameras.items():
-        if name in views and pinned.sources.get(name) in {"stated", "refined"}:
+        if name in views and pinned.sources.get(name) in {"stated", "refined", "observed"}:
             stated[name] = camera
     unmoved = {name: held.cameras[name] for name in stated if name in held.cameras}
     held = replace(held, calibration=stated_calibration(stated, unmoved, geometries))

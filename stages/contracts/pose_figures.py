@@ -153,7 +153,8 @@ class PosesFigures(Record):
     calibration: CalibrationCheck | None = None
     """Check of the stated cameras as a whole against the matches; None if nothing is stated, or too little is matched."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """By id, source of the pose in use: "stated", "refined" (within its stated uncertainty), "solved" or "corrected" (turned)."""
+    """By id, source of the pose in use: "stated", "observed" (from things that moved), "refined" (within its standard deviation),
+    "solved" or "corrected" (turned)."""
 
     def issues_of(self, kind: str) -> dict[str, PoseIssue]:
         """Return the issues of one kind by camera."""

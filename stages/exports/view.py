@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..types import NEW, SAME, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, Uint8s
+from ..types import NEW, SAME, VANISHED, Bools, Changes, Cloud, Float32s, Float64s, Int64s, ObservedPoses, Uint8s
 
 MOST_POINTS = 600_000
 """Largest number of points in a stream: a browser can turn them without a graphics card."""
@@ -44,6 +44,11 @@ _NEIGHBOURHOOD = 6.0
 within three spacings of each point of the cloud, so that all which can be nearest are there."""
 _SPACING_SAMPLE = 2000
 """Number of points from which the spacing of the stream of changes is estimated."""
+_EARLY = np.array([60.0, 120.0, 255.0])
+_LATE = np.array([255.0, 70.0, 40.0])
+"""Colours of the beginning and the end of a track."""
+_TRACK_WIDTH = 0.004
+"""Width of a track, as a share of its extent."""
 _MOST_SAMPLES = 600
 """Most points listed in the header, which show where the points are without unpacking."""
 
@@ -96,6 +101,17 @@ def changes_view(changes: Changes) -> bytes:
     spacing = max(voxel, spacing) if len(points) < int(chosen.sum()) else spacing
     layers = {"kind": Layer(np.rint(values[:, 3]), "", ends=(_NEW, _VANISHED))}
     return _stream(points, np.rint(values[:, :3]).astype(np.uint8), layers, spacing, int((new | vanished).sum()))
+
+
+def track_view(observed: ObservedPoses) -> bytes:
+    """The stream of the places of things by which cameras were placed, from blue to red in the order of time."""
+    count = len(observed.track)
+    late = np.linspace(0, 1, count)[:, None]
+    colors = _EARLY * (1 - late) + _LATE * late
+    points, values, _ = _thinned(observed.track, colors.astype(np.float32), _MOST_CHANGES)
+    extent = float(np.ptp(points, axis=0).max()) if count else 1.0
+    voxel = max(_TRACK_WIDTH * extent, _LEAST_EXTENT)
+    return _stream(points, np.rint(values).astype(np.uint8), {}, voxel, count)
 
 
 def _spacing(points: Float64s) -> float:

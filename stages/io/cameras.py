@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from ..core.cameras import camera_id
-from ..types import Camera, Poses
+from ..types import Camera, Lens, ObservedPoses, Placement, Poses
 
 
 def calibration(poses: Poses) -> dict[str, Any]:
@@ -20,6 +21,33 @@ def calibration(poses: Poses) -> dict[str, Any]:
 def calibration_file(poses: Poses) -> bytes:
     """`calibration` as the bytes of a file."""
     return json.dumps(calibration(poses)).encode()
+
+
+def observed_calibration_file(observed: ObservedPoses, lenses: Mapping[str, Lens]) -> bytes:
+    """The cameras that observations have placed, with standard deviations, as the bytes of a calibration file.
+
+    A camera without a stated K is left out: the format has no poses without lenses.
+
+    lenses: as the site states them, by id.
+    """
+    entries = {}
+    for name, placement in observed.placements.items():
+        lens = lenses.get(name, Lens())
+        if lens.K is not None and placement.R is not None and placement.C is not None:
+            entries[name] = _observed_entry(lens, placement, observed.focal_scales.get(name, 1.0), observed.metric)
+    return json.dumps(entries).encode()
+
+
+def _observed_entry(lens: Lens, placement: Placement, focal_scale: float, metric: bool) -> dict[str, Any]:
+    assert lens.K is not None and placement.R is not None and placement.C is not None
+    K = lens.K.copy()
+    K[:2, :2] *= focal_scale
+    entry: dict[str, Any] = {"K": K.tolist(), "R": placement.R.tolist(), "C": placement.C.tolist()}
+    entry |= {"width": lens.width, "height": lens.height, "model": lens.model, "distortion": list(map(float, lens.distortion))}
+    entry |= {"position_sigma_m": placement.sigma_m, "rotation_sigma_deg": placement.sigma_deg}
+    if not metric:
+        entry["metric"] = False
+    return entry
 
 
 def _entry(camera: Camera, metric: bool) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from wbflow.cache.checksum import content_digest
 from wbflow.cache.layout import WorkFolder
 from wbflow.cache.receipt import Preimage, Receipt
 from wbflow.cache.store import Cache
-from wbflow.pipeline.stages import CHANGES, FRAMES, FUSE, GEOMETRY, STAGES
+from wbflow.pipeline.stages import CHANGES, FRAMES, FUSE, GEOMETRY, OBSERVED, STAGES
 from wbflow.pipeline.summaries import CameraFigures, PairFigures, PosesSummary
 from wbflow.records.events import Event, TaskEvent
 from wbflow.records.findings import Finding, Verdict
@@ -120,6 +120,7 @@ def page(
     nights: int = 2,
     changes: bytes = b"",
     crop: bytes = b"",
+    track: bytes = b"",
 ) -> Path:
     """Publish a night and a few nights before it in the work folder; return the file of the night's page.
 
@@ -129,8 +130,8 @@ def page(
         Where, and what.
     points, pictures, nights : int, tuple of int, int
         Number of points of the cloud, size of the pictures, and number of nights before.
-    changes, crop : bytes
-        The stream of changed points, and the picture of each change (JPEG); b"" for none.
+    changes, crop, track : bytes
+        The stream of changed points, the picture of each change (JPEG), and the stream of a track; b"" for none.
     """
     ids = [camera.id for camera in night.cameras]
     described = site(folder, ids)
@@ -152,6 +153,8 @@ def page(
         events += _made(work, Task(FUSE), {"view": cloud_view(bowl(points))})
     if changes:
         events += _made(work, Task(CHANGES), {"view": changes})
+    if track:
+        events += _made(work, Task(OBSERVED), {"view": track})
     for pair in (p for p in night.pairs if not p.ok):
         tried = Task(GEOMETRY, (pair.left, pair.right))
         events.append(TaskEvent(tried, "rejected", f"{night.date}T03:17:00+00:00", reason=pair.reason))

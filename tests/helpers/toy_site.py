@@ -85,6 +85,8 @@ class ToySite:
             stage: {"use": f"toy_stages:{name}", **self.parameters.get(stage, {})} for stage, name in STAGES.items()
         }
         stages["shared"] = False
+        if "observations" in self.keys:
+            stages["observed"] = {"use": "toy_stages:solve_observations", **self.parameters.get("observed", {})}
         stages["scene"] = stages["refine"] = stages["coverage"] = stages["calibration"] = False
         stages["changes"] = {"use": "toy_stages:find_changes"} if self.compares else False
         stages["health"] = {"use": "toy_stages:examine"} if self.watched else False

@@ -21,6 +21,7 @@ import numpy as np
 
 from wbflow_stages.contracts.camera_figures import HealthState
 from wbflow_stages.contracts.ground_figures import UsedIds
+from wbflow_stages.contracts.observation_figures import ObservedCamera
 from wbflow_stages.contracts.reasons import Reason
 from wbflow_stages.types import (
     Camera,
@@ -37,6 +38,8 @@ from wbflow_stages.types import (
     GroundGrid,
     Lens,
     Matches,
+    Observations,
+    ObservedPoses,
     Overlap,
     Pair,
     PairCheck,
@@ -46,6 +49,7 @@ from wbflow_stages.types import (
     Rejected,
     ShiftHistory,
     Survey,
+    ThingSurvey,
     View,
 )
 
@@ -83,6 +87,42 @@ def detect(frame: Frame, *, offset: float = 0.0) -> Features:
     ones = np.ones(1, np.float32)
     view = dataclasses.replace(frame.view, width=300, height=300)  # which the keypoint lies in
     return Features(xy, np.eye(2)[None], np.ones((1, 4), np.float32), ones, np.zeros(1, np.uint8), view)
+
+
+def solve_observations(
+    observations: Observations,
+    lenses: Mapping[str, Lens],
+    placements: Mapping[str, Placement],
+    thing_survey: ThingSurvey | None,
+    *,
+    least: int = 1,
+) -> ObservedPoses | Rejected:
+    """A camera's x is the sum of its observed pixels; one with fewer than `least` observations is not placed."""
+    _trouble("observed")
+    placed = {}
+    figures = {}
+    for number, name in enumerate(observations.cameras):
+        rows = observations.camera == number
+        count = int(rows.sum())
+        if count < least:
+            figures[name] = ObservedCamera(count, reason=f"{count} observations, {least} needed")
+            continue
+        C = np.array([observations.xy[rows].sum(), float(thing_survey.position.sum()) if thing_survey else 0.0, len(lenses)])
+        placed[name] = Placement(np.eye(3), C, 0.02, 0.01)
+        figures[name] = ObservedCamera(count, count, 0.5, sigma_m=0.02, sigma_deg=0.01)
+    if len(placed) < 2:
+        return Rejected("nobody saw it at once")
+    unit = observations.time_unit
+    return ObservedPoses(
+        placed,
+        track=np.zeros((1, 3)),
+        cameras=figures,
+        things=1,
+        reprojection_px=0.5,
+        metric=True,
+        scale="survey",
+        time_unit=unit,
+    )
 
 
 def estimate_overlap(
@@ -131,6 +171,7 @@ def solve_poses(
     placements: Mapping[str, Placement],
     geometries: Mapping[Pair, Geometry],
     survey: Survey,
+    observed: ObservedPoses | None,
     *,
     worlds: int = 1,
     leave_out: str = "",
@@ -145,7 +186,14 @@ def solve_poses(
         n: Camera(np.eye(3), np.eye(3), np.array([i, 0.0, 0.0]), 8, 8, component=i % worlds, lens=views[n].lens)
         for i, n in enumerate(names)
     }
-    return Poses(cameras, unsolved=unsolved, metric=metric, source="calibration", components=groups, crs=survey.crs)
+    sources = {}
+    for name, placement in (observed.placements if observed else {}).items():
+        if name in cameras and placement.C is not None:
+            cameras[name] = dataclasses.replace(cameras[name], C=placement.C)
+            sources[name] = "observed"
+    return Poses(
+        cameras, unsolved=unsolved, metric=metric, source="calibration", components=groups, crs=survey.crs, sources=sources
+    )
 
 
 def rectify(

@@ -40,6 +40,11 @@ def cloud_name(component: tuple[str, ...] = ()) -> str:
     return "-".join(["cloud", *component]) + ".ply"
 
 
+def picture_name(camera: str) -> str:
+    """Return the file name of the picture that shows what was found in a camera's recording."""
+    return f"{camera}.jpg"
+
+
 def _folder_name(task: Task) -> str:
     """Return the folder of a task's artifacts, relative to the cache."""
     subject = "--".join(task.subject) or "site"
@@ -102,6 +107,10 @@ class WorkFolder:
         """The record of what is pinned (see `records.reference`)."""
         self.reference_twin = self.reference / "reference-twin.json"
         """A second copy of the record, used if the first is missing or damaged."""
+        self.observed = self.root / "observed"
+        """What `wbflow observe` has found: a picture for each camera, and the cameras' poses."""
+        self.observed_cameras = self.observed / "cameras.json"
+        """The cameras that observations have placed, in the format of a calibration file."""
         self.quarantine = self.root / "quarantine"
         """Artifacts whose bytes did not match the digests in their receipts."""
         self.ledger = self.root / "ledger.sqlite"

@@ -63,7 +63,7 @@ def main() -> None:
     """
 
 
-for _module in ("run", "status", "results", "setup", "models"):
+for _module in ("run", "status", "results", "setup", "models", "observe"):
     # by name: the command line knows where its commands are, not what they need
     for _name, _command in vars(import_module(f"{__package__}.{_module}")).items():
         if isinstance(_command, click.Command) and not _name.startswith("_"):  # private: a command of a group

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from wbflow_stages.contracts.defaults import RESOLUTION
 
 from ..errors import ExitCode, UsageError
 from .common import PATH, echo, echo_json, jobs_option, load, site_argument, stop, verbose_option, work_option
+from .observe import board_fields, board_options
 
 _DEFAULTS = {"scene": "yard", "light": "day", "lenses": "standard", "surfaces": "standard"}
 """Options that --nights does not take, with their defaults."""
@@ -142,15 +142,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
 @click.command()
 @click.argument("camera", metavar="CAMERA")
 @click.argument("pictures", metavar="PICTURES", type=PATH)
-@click.option("--board", required=True, metavar="9x6", help="Inner corners of a checkerboard; squares of a ChArUco board.")
-@click.option("--square", type=click.FloatRange(min=0, min_open=True), default=1.0, metavar="M", help="Edge of a square.")
-@click.option("--marker", type=click.FloatRange(min=0), default=0.0, metavar="M", help="Edge of a marker, for a ChArUco board.")
-@click.option(
-    "--dictionary",
-    default="4X4_50",
-    metavar="NAME",
-    help="Dictionary of the markers: 4X4_50 to 7X7_1000, APRILTAG_36h11 and so on.",
-)
+@board_options(required=True)
 @click.option(
     "--model",
     type=click.Choice(["brown", "rational", "fisheye", "division", "fov", "eucm", "double-sphere"]),
@@ -158,9 +150,7 @@ def pair(left: Path, right: Path, out: Path, resolution: int, jobs: int, verbose
     help="Lens model; fisheye: for wide lenses.",
 )
 @click.option("--out", type=PATH, default=Path(), metavar="DIR", help="Folder for CAMERA.json and CAMERA-coverage.png.")
-def calibrate(
-    camera: str, pictures: Path, board: str, square: float, marker: float, dictionary: str, model: str, out: Path
-) -> None:
+def calibrate(camera: str, pictures: Path, model: str, out: Path, **board: Any) -> None:
     """Calibrate a lens from pictures of a board.  PICTURES is a folder of photographs, or a video.
 
     Writes CAMERA.json, which a site file's `calibration:` takes, with the residuals of each picture, and a plot of where corners
@@ -172,17 +162,7 @@ def calibrate(
     """
     from ..commands.init import write_calibration
 
-    counts = re.fullmatch(r"(\d+)x(\d+)", board)
-    columns = rows = 0
-    if counts:
-        columns, rows = map(int, counts.groups())
-    if not (2 < columns < 100 and 2 < rows < 100):
-        raise UsageError(f"{board!r} is not a board", remedy="give columns x rows, such as --board 9x6")
-    if marker >= square:
-        raise UsageError(f"a marker of {marker:g} does not fit in a square of {square:g}", remedy="give both in the same unit")
-    fields: dict[str, float | str] = {"columns": columns, "rows": rows, "square": square, "marker": marker}
-    fields["dictionary"] = dictionary
-    files, notes = write_calibration(camera, pictures, fields, model, out)
+    files, notes = write_calibration(camera, pictures, board_fields(**board), model, out)
     echo("\n".join([*map(str, files), *notes]))
 
 

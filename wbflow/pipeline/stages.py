@@ -1,4 +1,4 @@
-"""The pipeline: its nineteen stages in order, with their functions, their inputs, and the uses of their results.
+"""The pipeline: its twenty stages in order, with their functions, their inputs, and the uses of their results.
 
 To add a stage, write its function (`stages/`), its row here and, if run.json is to contain figures of it, its summary
 (`pipeline.summaries`).  The engine knows the stages by name, but nothing about the contents of their arrays.
@@ -16,9 +16,10 @@ from wbflow_stages.contracts.ground_figures import CloudFigures
 from wbflow_stages.contracts.pair_figures import DisparityFigures, GeometryFigures, MatchesFigures, PairsFigures, RectifyFigures
 from wbflow_stages.contracts.pose_figures import CalibrationCheck
 
-from .summaries import ChangesSummary, CoverageSummary, PosesSummary
+from .summaries import ChangesSummary, CoverageSummary, ObservedSummary, PosesSummary
 
 # names of the stages that the engine refers to; it treats all others alike
+OBSERVED = "observed"
 FRAMES = "frames"
 HEALTH = "health"
 FEATURES = "features"
@@ -42,6 +43,7 @@ CHECK_RESULT = "wbflow_stages.types.checking:check_result"
 """The function that checks what a site's own function returned: (result, dotted name of the function, types that are needed)."""
 
 RESULT_TYPES = {
+    "observed": "wbflow_stages.types:ObservedPoses",
     "frames": "wbflow_stages.types:Frame",
     "health": "wbflow_stages.types:CameraHealth",
     "features": "wbflow_stages.types:Features",
@@ -72,11 +74,13 @@ SITE_TYPES = {
     "lens": "wbflow_stages.types:Lens",
     "placement": "wbflow_stages.types:Placement",
     "survey": "wbflow_stages.contracts.stated:Survey",
+    "observations": "wbflow_stages.types:Observations",
+    "thing_survey": "wbflow_stages.types:ThingSurvey",
 }
 """The inputs that the site file and the captures can provide to a stage, and their types."""
 
 Scope = Literal["camera", "pair", "site"]
-Of = Literal["own", "left", "right", "every", "around", "near"]
+Of = Literal["own", "left", "right", "every", "cameras", "around", "near"]
 Condition = Callable[[Any], bool]
 """A predicate of the site (`site.models.Site`)."""
 
@@ -93,7 +97,8 @@ class Source:
     """Name of the stage, or of the input from the site."""
     of: Of = "own"
     """Whose result: the task's own subject, or the left or right camera of its pair.  Or whose results, as a mapping: every
-    subject, the camera's partners in dense pairs ("around"), or these and some of their partners ("near": `Subjects.near`)."""
+    subject, every camera as the site states it ("cameras": without the views of wide ones), the camera's partners in dense pairs
+    ("around"), or these and some of their partners ("near": `Subjects.near`)."""
     part: str = ""
     """Only this field of the result; if it is a mapping from a site-wide stage, only the entry of the task's camera or pair."""
     optional: bool | Condition = False
@@ -106,7 +111,7 @@ class Source:
     @property
     def joins(self) -> bool:
         """Is the input passed as a mapping?"""
-        return self.of in {"every", "around", "near"}
+        return self.of in {"every", "cameras", "around", "near"}
 
     def may_lack(self, site: Any) -> bool:
         """May the input be missing on this site?"""
@@ -268,11 +273,37 @@ _HELD_POSES = Adapt(
 """Keeps the cameras of the reference; turns those that have shifted, and solves those that were moved from the others."""
 
 
+_OBSERVED = own("observed", optional=True)
+"""Poses from observations of things, where a site has any."""
+
+
 def _some_unposed(site: Any) -> bool:
     return not site.posed
 
 
+def _has_observations(site: Any) -> bool:
+    return site.observations is not None
+
+
+def _may_do_without_matches(site: Any) -> bool:
+    return site.has_stated_poses or _has_observations(site)
+
+
 STAGES: tuple[Stage, ...] = (
+    Stage(
+        "observed",
+        scope="site",
+        function="wbflow_stages.observed_poses:solve_observations",
+        inputs={
+            "observations": site("observations"),
+            "lenses": site("lens", of="cameras"),
+            "placements": site("placement", of="cameras"),
+            "thing_survey": site("thing_survey"),
+        },
+        optional=_has_observations,
+        products=Products({"view": "wbflow_stages.exports.view:track_view"}, title="How observations place the cameras"),
+        summary=ObservedSummary,
+    ),
     Stage(
         "frames",
         scope="camera",
@@ -324,6 +355,7 @@ STAGES: tuple[Stage, ...] = (
             "views": _VIEWS,
             "placements": site("placement", of="every"),
             "features": every("features", needed_if=_some_unposed),
+            "observed": _OBSERVED,
         },
         offers={"frames": every("frames")},
         reuse=_ALWAYS_REUSED,
@@ -372,9 +404,10 @@ STAGES: tuple[Stage, ...] = (
         inputs={
             "views": _VIEWS,
             "placements": site("placement", of="every"),
-            "geometries": every("geometry", optional=lambda site: site.has_stated_poses),
+            "geometries": every("geometry", optional=_may_do_without_matches),
             "survey": site("survey"),
-            "frames_if_rough": every("frames", needed_if=lambda site: site.has_rough_pose),
+            "frames_if_rough": every("frames", needed_if=lambda site: site.has_rough_pose or _has_observations(site)),
+            "observed": _OBSERVED,
         },
         offers={"frames": every("frames"), "features": every("features")},
         optional=True,
@@ -451,7 +484,7 @@ STAGES: tuple[Stage, ...] = (
         scope="site",
         function="wbflow_stages.calibration:check_calibration",
         inputs={"poses": own("poses"), "disparities": every("disparity", optional=True)},
-        optional=lambda site: site.has_stated_poses,
+        optional=_may_do_without_matches,
         reuse=Reuse(stored=False),
         summary=CalibrationCheck,
     ),

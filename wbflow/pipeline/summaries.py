@@ -14,6 +14,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, Wrap
 
 from wbflow_stages.contracts.camera_figures import CameraStagesFigures
 from wbflow_stages.contracts.ground_figures import Change, ChangesFigures, CoverageFigures, CutFill
+from wbflow_stages.contracts.observation_figures import ObservedCamera, ObservedFigures
 from wbflow_stages.contracts.pair_figures import PairStagesFigures
 from wbflow_stages.contracts.pose_figures import CalibrationCheck, PairCheck, PoseCheck, PosesFigures
 
@@ -50,7 +51,7 @@ class CameraFigures(CameraStagesFigures, Summary):
     """How well the images agree with its known pose."""
     verified: bool | None = None
     pose_from: str | None = None
-    """stated, refined, corrected or solved."""
+    """stated, observed, refined, corrected or solved."""
     points: int | None = None
     misfit: float | None = None
     offset_px: Mapping[str, float] | None = None
@@ -127,6 +128,16 @@ class SiteSummary(Summary):
         return None
 
     @property
+    def table(self) -> tuple[tuple[str, ...], ...]:
+        """Rows of cells, the first one with the titles of the columns; () without any."""
+        return ()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is said of the result, instead of a list of its figures; () to have these listed."""
+        return ()
+
+    @property
     def objects(self) -> Mapping[str, RecordedChange]:
         """Things with a place, by name."""
         return {}
@@ -135,6 +146,66 @@ class SiteSummary(Summary):
     def volumes(self) -> Mapping[str, CutFill]:
         """Volumes gained and lost, by zone."""
         return {}
+
+
+@dataclass(frozen=True)
+class ObservedSummary(ObservedFigures, SiteSummary):
+    """How cameras were placed by observations of things."""
+
+    @property
+    def unplaced(self) -> dict[str, str]:
+        """The cameras with observations that could not be placed, and why."""
+        return {name: camera.reason for name, camera in self.cameras.items() if camera.reason}
+
+    @property
+    def table(self) -> tuple[tuple[str, ...], ...]:
+        if not self.cameras:
+            return ()
+        rows = [("camera", "observations", "used", "residual px", "sigma", "sigma degrees", "clock")]
+        for name, camera in self.cameras.items():
+            if camera.reason:
+                rows.append((name, f"{camera.observations:,}", "", "", "", "", ""))
+                continue
+            sigma = _shown(camera.sigma_m, ".4f")
+            if self.metric and camera.sigma_m is not None:
+                sigma = f"{1000 * camera.sigma_m:.0f} mm"
+            counts = f"{camera.observations:,}", f"{camera.used:,}"
+            residual = _shown(camera.reprojection_px, ".2f")
+            rows.append((name, *counts, residual, sigma, _shown(camera.sigma_deg, ".3f"), self._clock(camera)))
+        return tuple(rows)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        if self.reason:
+            return ()
+        texts = [f"{name} is not placed: {reason}" for name, reason in self.unplaced.items()]
+        unit = " m" if self.metric else ""
+        if self.halves_m is not None and self.halves_deg is not None:
+            texts.append(
+                f"two halves of the observations agree within {self.halves_m:.3f}{unit} and {self.halves_deg:.3f} degrees"
+            )
+        if self.survey_m is not None:
+            texts.append(f"the survey is {self.survey_m:.2f} m (median) from where the cameras see the thing")
+        texts.append(f"scale: {self.scale or 'none'}")
+        texts.extend(self.notes)
+        return tuple(texts)
+
+    def _clock(self, camera: ObservedCamera) -> str:
+        """How far a camera's clock is from that of the first one, as text."""
+        factor = 1.0
+        digits = 2
+        if self.time_unit == "s":
+            factor = 1000.0
+            digits = 0
+        text = f"{factor * camera.offset:+.{digits}f}"
+        if camera.offset_sigma:
+            text += f" ± {factor * camera.offset_sigma:.{digits}f}"
+        return f"{text} {'ms' if self.time_unit == 's' else 'frames'}"
+
+
+def _shown(value: float | None, form: str) -> str:
+    """A number as text, "-" if it is unknown."""
+    return "-" if value is None else f"{value:{form}}"
 
 
 @dataclass(frozen=True)

@@ -241,6 +241,12 @@ FINDINGS: Mapping[str, FindingType] = {
             "the matches contradict the stated calibration: {explanation}",
         ),
         FindingType(
+            "observations-unused",
+            "No camera could be placed by the observations that the site file names.",
+            "wbflow observe SITE.yaml  says what they lack; wbflow check SITE.yaml  names rows that are hardly meant",
+            "the observations place no camera: {reason}",
+        ),
+        FindingType(
             "poses-contradicted",
             "Stated poses contradict each other or the pictures; which of them is wrong is unknown, and all stay in use.",
             "measure these poses again, or use the calibration file that belongs to these captures; without a pose, it is solved",

@@ -225,8 +225,8 @@ class RunRecord(JsonDataclass):
 
     @cached_property
     def stated(self) -> frozenset[str]:
-        """The cameras whose poses are stated."""
-        return frozenset(camera.id for camera in self.cameras if camera.figures.pose_from == "stated")
+        """The cameras whose poses are stated, or known from observations."""
+        return frozenset(camera.id for camera in self.cameras if camera.figures.pose_from in {"stated", "observed"})
 
     @cached_property
     def _pairs_of(self) -> dict[str, list[PairRecord]]:

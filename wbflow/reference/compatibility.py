@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..cache.receipt import Preimage, Receipt
-from ..pipeline.stages import FRAMES, Adapt, Stage
+from ..pipeline.stages import FRAMES, OBSERVED, Adapt, Stage
 from ..records.reference import Reference
 from ..runner.night import Night
 from ..runner.spec import Files, input_digests, site_input
@@ -17,7 +17,7 @@ from ..site.captures import file_of_stage
 from ..site.models import Site
 from ..task import camera_of
 
-_COMPARED = {"lens", "placement", "survey"}
+_COMPARED = {"lens", "placement", "survey", "observations", "thing_survey"}
 """The site file's entries for a camera that its results rest on."""
 
 
@@ -32,8 +32,8 @@ def incompatibility(reference: Reference, night: Night) -> str:
     if differing:
         return f"cameras have come or gone since it was pinned: {', '.join(differing)}"
     for stage in night.stages:
-        # frames have no rule of reuse, but all else rests on their lenses
-        if stage.name != FRAMES and not stage.reuse.shifted:
+        # these have no rule of reuse, but all else rests on the lenses of frames, and on the poses of observed cameras
+        if stage.name not in {FRAMES, OBSERVED} and not stage.reuse.shifted:
             continue
         tasks = [task for task in reference.artifacts if task.stage == stage.name]
         # settings are the same for all pairs; cameras have entries of their own in the site file
@@ -83,7 +83,7 @@ def _input_change(pinned: Preimage, stage: Stage, night: Night) -> str:
                 return f"another {name} in {stage.name}"
         elif need.kind == "site" and need.name in _COMPARED:
             value = site_input(night.site, need, pinned.task)
-            if value is None:
+            if value is None and pinned.task.subject:
                 return f"other settings: the views of camera {camera_of(pinned.subject[0])}"
             for entry, digest in input_digests({name: value}).items():
                 if pinned.inputs.get(entry) != digest:

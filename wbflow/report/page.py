@@ -79,7 +79,9 @@ def build_comparison(site: Site, tonight: Run, reference: Run, changes: Any) -> 
                 events.append(event)
         shown = ReportData(tonight.cache, record, tuple(events), tonight.calibration, Path(folder), site)
         changed_points = Points("change", load(products.product_files["view"])(changes))
-        content = _content(shown, [*points_of(shown), changed_points])
+        # their own changes are left out above; how cameras were placed is the same for both
+        points = [stream for stream in points_of(shown) if stream.kind != "track"]
+        content = _content(shown, [*points, changed_points])
     if [stream.kind for stream in content["points"]] != ["product", "change", "then"]:
         raise WbflowError("the cloud of one of the runs no longer exists", remedy="run the night again")
     title = "Nothing has changed"

@@ -42,7 +42,10 @@ class Part:
     since: str = ""
     """What is different from the last good night."""
     picture: Picture | None = None
+    sentences: tuple[str, ...] = ()
     rows: tuple[tuple[str, str], ...] = ()
+    table: tuple[tuple[str, ...], ...] = ()
+    """The first row has the titles."""
     volumes: tuple[tuple[str, ...], ...] = ()
     things: tuple[Thing, ...] = ()
 
@@ -67,8 +70,21 @@ def parts_of(data: ReportData, album: Pictures) -> list[Part]:
             gone_text = _gone_text(data)
         # the highest id is for the next night, not for people
         figures = tuple(shown({name: value for name, value in vars(result).items() if name != "highest_id"}))
-        volumes = tuple(volume_rows(result, data.unit))
-        rows.append(Part(title, reason, result.files, gone_text, picture, figures, volumes, tuple(things)))
+        if result.sentences:
+            figures = ()
+        part = Part(
+            title,
+            reason,
+            result.files,
+            since=gone_text,
+            picture=picture,
+            sentences=result.sentences,
+            rows=figures,
+            table=result.table,
+            volumes=tuple(volume_rows(result, data.unit)),
+            things=tuple(things),
+        )
+        rows.append(part)
     return rows
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..cache.untrusted import read_untrusted
-from ..pipeline.stages import FEATURES, FRAMES, FUSE, GEOMETRY, STAGES
+from ..pipeline.stages import CHANGES, FEATURES, FRAMES, FUSE, GEOMETRY, OBSERVED
 from ..plugins import load
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..site.calibration.calibrated import product
@@ -193,7 +193,7 @@ class Points:
     """A stream of points for the 3-D view: length of a JSON head (uint32, little-endian), the head, and packed columns."""
 
     kind: str
-    """product: the night's cloud; then: that of another night; change: what has changed."""
+    """product: the night's cloud; then: that of another night; change: what has changed; track: things that placed cameras."""
     data: bytes = field(repr=False)
 
     @cached_property
@@ -224,16 +224,12 @@ def points_of_other(data: ReportData, other: ReportData) -> Points | None:
 
 
 def points_of(data: ReportData) -> list[Points]:
-    """Return the points of the night's results, in the order of the stages: the product's come first."""
+    """Return the points of the night's results: the product's come first."""
     points = []
-    for stage in STAGES:
-        stream = data.product_file(Task(stage.name), "view")
-        if not stream:
-            continue
-        if stage.name == FUSE:
-            points.append(Points("product", stream))
-        else:
-            points.append(Points("change", stream))
+    for stage, kind in ((FUSE, "product"), (CHANGES, "change"), (OBSERVED, "track")):
+        stream = data.product_file(Task(stage), "view")
+        if stream:
+            points.append(Points(kind, stream))
     return points
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from ..cache.receipt import Preimage, Receipt
 from ..pipeline.stages import SITE_TYPES, Source, stage_named
 from ..site.capture_files import CaptureFile
 from ..site.models import Camera, Site, stated_fields
+from ..site.observation_tables import ObservationTable, SurveyTable
 from ..task import Subject, Task
 
 
@@ -28,6 +31,26 @@ class Value:
     @property
     def digest(self) -> str:
         return content_digest(json.dumps([self.kind, self.plain], sort_keys=True).encode())
+
+
+@dataclass(frozen=True)
+class Table:
+    """An input from a table that the site file names: its columns become arrays of a dataclass of `wbflow_stages`."""
+
+    kind: str
+    """Dotted name of the dataclass."""
+    plain: dict[str, Any]
+    """The other fields."""
+    columns: Mapping[str, array[Any]]
+    """Columns by field."""
+    widths: Mapping[str, int] = field(default_factory=dict)
+    """Number of values in each row of a field, for fields that have several."""
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the content: many rows are not written as text for it."""
+        columns = [[name, column.typecode, content_digest(column.tobytes())] for name, column in self.columns.items()]
+        return content_digest(json.dumps([self.kind, self.plain, columns], sort_keys=True).encode())
 
 
 @dataclass(frozen=True)
@@ -89,7 +112,7 @@ class Joined:
     items: Mapping[Subject, Value | Stored]
 
 
-Input = Value | Files | Stored | Joined | None
+Input = Value | Table | Files | Stored | Joined | None
 """None: an optional input that is missing."""
 
 
@@ -145,10 +168,17 @@ def input_digests(inputs: dict[str, Input]) -> dict[str, str]:
     return digests
 
 
-def site_input(site: Site, need: Source, task: Task) -> Value | Joined | None:
-    """What the site file states: "lens", "privacy" or "placement" of the task's camera or of every camera, or the "survey"."""
+def site_input(site: Site, need: Source, task: Task) -> Value | Table | Joined | None:
+    """What the site file states: "lens", "privacy" or "placement" of the task's camera or of every camera, the "survey",
+    "observations" and their "thing_survey"."""
     if need.name == "survey":
         return Value(SITE_TYPES[need.name], stated_fields(site.survey))
+    if need.name == "observations":
+        return _table(need.name, site.observations, {"xy": 2})
+    if need.name == "thing_survey":
+        return _table(need.name, site.thing_survey, {"position": 3})
+    if need.of == "cameras":
+        return Joined({(camera.id,): _stated_value(camera, need.name) for camera in site.cameras})
     if need.of == "every":
         return Joined({(view.id,): _stated_value(view, need.name) for view in site.views})
     for view in site.views:
@@ -158,6 +188,20 @@ def site_input(site: Site, need: Source, task: Task) -> Value | Joined | None:
             return None
         return _stated_value(view, need.name)
     return None
+
+
+def _table(name: str, table: ObservationTable | SurveyTable | None, widths: Mapping[str, int]) -> Table | None:
+    """The rows of a table; None if the site has none.  widths: of fields with several values in a row."""
+    if table is None:
+        return None
+    columns = {}
+    plain = {}
+    for key, value in vars(table.rows).items():
+        if isinstance(value, array):
+            columns[key] = value
+        else:
+            plain[key] = value
+    return Table(SITE_TYPES[name], plain, columns, widths)
 
 
 def _stated_value(camera: Camera, name: str) -> Value:

@@ -33,7 +33,7 @@ from ..site.capture_files import CaptureFile
 from ..task import Task
 from ..words import DISK_FULL_REMEDY, LONGEST_TRACE, printable
 from .output import output_into
-from .spec import Files, Input, Joined, Stored, TaskSpec, Value
+from .spec import Files, Input, Joined, Stored, Table, TaskSpec, Value
 from .state import Cause, Outcome, State, cached_state
 
 
@@ -264,7 +264,9 @@ def _load(value: Input, context: _ChainContext, keep: bool = True) -> Any:
     if value is None:
         return None
     if isinstance(value, Value):
-        return _from_plain(value)
+        return from_plain(value)
+    if isinstance(value, Table):
+        return _from_table(value)
     if isinstance(value, Files):
         captures = [_load_capture(file) for file in value.files]
         return captures[0] if value.single else captures
@@ -298,7 +300,7 @@ _read_site_wide = functools.lru_cache(4)(_read)
 """Each chain needs its own part of a site-wide artifact: with many cameras, reading it anew would cost more than all the rest."""
 
 
-def _from_plain(value: Value) -> Any:
+def from_plain(value: Value) -> Any:
     """The dataclass of plain values; lists of numbers become arrays of float64."""
     import numpy as np
 
@@ -306,6 +308,18 @@ def _from_plain(value: Value) -> Any:
     for name, plain in value.plain.items():
         fields[name] = np.asarray(plain, dtype=np.float64) if isinstance(plain, list) else plain
     return load(value.kind)(**fields)
+
+
+def _from_table(table: Table) -> Any:
+    """The dataclass of a table, with its columns as arrays of int32 or float64."""
+    import numpy as np
+
+    fields = dict(table.plain)
+    for name, column in table.columns.items():
+        values = np.array(column)
+        width = table.widths.get(name)
+        fields[name] = values if width is None else values.reshape(-1, width)
+    return load(table.kind)(**fields)
 
 
 def _load_capture(file: CaptureFile) -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from functools import partial
 
 from ..words import counted
 from .models import Site
@@ -13,6 +14,9 @@ from .yaml_document import Problem
 
 _MARGIN_PX = 1.0
 """Observations may be outside of the picture by this much: they are measured with an error."""
+
+MOST_APART = {"s": 5.0, "frames": 125.0}
+"""Clocks of cameras, and of the survey, may differ by this much, by the unit of time."""
 
 Span = tuple[float, float]
 """Earliest and latest time."""
@@ -26,8 +30,13 @@ def doubts_about_observations(site: Site) -> list[Problem]:
     rows_of: dict[str, list[int]] = {camera: [] for camera in table.rows.cameras}
     for row, number in enumerate(table.rows.camera):
         rows_of[table.rows.cameras[number]].append(row)
-    doubts = [*_outside(site, table, rows_of)]
-    observed = {camera: rows for camera, rows in rows_of.items() if rows}
+    # 1. row by row
+    doubts = list(_outside(site, table, rows_of))
+    # 2. camera by camera
+    observed: dict[str, list[int]] = {}
+    for name, rows in rows_of.items():
+        if rows:
+            observed[name] = rows
     if len(observed) == 1:
         (only,) = observed
         what = f"all {counted(len(table.line), 'observation')} are of 1 camera, {only}; 2 are needed, whose rays meet"
@@ -36,6 +45,7 @@ def doubts_about_observations(site: Site) -> list[Problem]:
         if camera.id not in observed and not camera.stated:
             what = f"there is no observation of {camera.id} among {len(table.line):,}, and its pose is not stated"
             doubts.append(Problem(table.path, what, "it cannot be placed by them: move the thing through its view, too", 1))
+    # 3. do they go together?
     doubts.extend(_apart_in_time(table, observed))
     doubts.extend(_survey_apart_in_time(site, table))
     return doubts
@@ -69,19 +79,17 @@ def _apart_in_time(table: ObservationTable, observed: dict[str, list[int]]) -> I
     """Cameras whose observations are all at other times than those of every other camera."""
     spans: dict[str, Span] = {}
     for camera, rows in observed.items():
-        span = _span(table.rows.time[row] for row in rows)
-        if span is not None:
-            spans[camera] = span
-    if len(spans) < len(observed):  # some things do not move: they tie cameras whenever they were seen
-        return
+        span = _span(map(table.rows.time.__getitem__, rows))
+        if span is None:  # some things do not move: they tie cameras whenever they were seen
+            return
+        spans[camera] = span
+    unit = table.rows.time_unit
     for camera, span in spans.items():
-        others = [other for name, other in spans.items() if name != camera]
-        if not any(_overlap(span, other) for other in others):
-            nearest = min(others, key=lambda other: max(other[0] - span[1], span[0] - other[1]))
-            what = (
-                f"{camera} saw things from {_words(span, table.rows.time_unit)}, other cameras from "
-                f"{_words(nearest, table.rows.time_unit)}: at no common time"
-            )
+        others = dict(spans)
+        del others[camera]
+        nearest = min(others.values(), key=partial(_gap, span))
+        if _gap(span, nearest) > MOST_APART[unit]:
+            what = f"{camera} saw things from {_words(span, unit)}, other cameras from {_words(nearest, unit)}: at no common time"
             remedy = (
                 "record all cameras at the same time; or correct the clock of this one: seconds are of one and the same clock"
             )
@@ -95,23 +103,24 @@ def _survey_apart_in_time(site: Site, table: ObservationTable) -> Iterable[Probl
         return
     surveyed = _span(survey.rows.time)
     seen = _span(table.rows.time)
-    if surveyed is None or seen is None or _overlap(surveyed, seen):
-        return
     unit = table.rows.time_unit
+    if surveyed is None or seen is None or _gap(surveyed, seen) <= MOST_APART[unit]:
+        return
     what = f"gives places from {_words(surveyed, unit)}, cameras saw things from {_words(seen, unit)}"
     yield Problem(survey.path, what, "count the time of both from the same moment", survey.line[0])
 
 
-def _span(times: Iterable[float] | Sequence[float] | array[float]) -> Span | None:
+def _span(times: Iterable[float]) -> Span | None:
     """The earliest and the latest of some times; None if none is known."""
-    known = [time for time in times if not math.isnan(time)]
+    known = list(itertools.filterfalse(math.isnan, times))
     if not known:
         return None
     return min(known), max(known)
 
 
-def _overlap(first: Span, second: Span) -> bool:
-    return first[0] <= second[1] and second[0] <= first[1]
+def _gap(first: Span, second: Span) -> float:
+    """The time between two spans; negative if they overlap."""
+    return max(second[0] - first[1], first[0] - second[1])
 
 
 def _words(span: Span, unit: str) -> str:

@@ -6,6 +6,7 @@ Row by row they are checked here; whether they suffice to place cameras, `observ
 from __future__ import annotations
 
 import datetime
+import itertools
 import math
 from array import array
 from collections.abc import Collection, Mapping, Sequence
@@ -70,6 +71,7 @@ def read_observations(path: Path, cameras: Sequence[str]) -> ObservationTable:
     time, time_unit = _times(table)
     if time is None and not table.has("thing"):
         raise SiteError(Problem(path, "has neither a column frame or time nor a column id", OBSERVATIONS_REMEDY, 1))
+    # 1. the columns
     x = table.numbers("x")
     y = table.numbers("y")
     sigma = _sigmas(table)
@@ -80,7 +82,9 @@ def read_observations(path: Path, cameras: Sequence[str]) -> ObservationTable:
 
     found = ObservationRows(tuple(cameras), (), array("i"), array("i"), array("d"), array("d"), array("d"), time_unit)
     kept_lines = array("i")
+    # 2. row by row
     for row, line in enumerate(table.lines):
+        # trackers have a row for each frame, also when they do not see the thing
         if line in table.faults.lines or (math.isnan(x[row]) and math.isnan(y[row])):
             continue
         if math.isnan(x[row]) or math.isnan(y[row]):
@@ -94,7 +98,7 @@ def read_observations(path: Path, cameras: Sequence[str]) -> ObservationTable:
             continue
         found.camera.append(camera)
         found.thing.append(things.setdefault(thing_names[row], len(things)))
-        found.time.append(math.nan if time is None else time[row])
+        found.time.append(time[row] if time is not None else math.nan)
         found.xy.extend((x[row], y[row]))
         found.sigma_px.append(sigma[row])
         kept_lines.append(line)
@@ -112,15 +116,17 @@ def read_thing_survey(path: Path, observations: ObservationTable) -> SurveyTable
     if table.has("metres") or table.has("to"):
         return _read_lengths(table, observations.rows.things)
     geodetic = table.has("latitude") or table.has("longitude")
-    columns = ("latitude", "longitude", "z") if geodetic else ("x", "y", "z")
+    columns = ("x", "y", "z")
+    if geodetic:
+        columns = ("latitude", "longitude", "z")
     _require(table, columns, SURVEY_REMEDY)
     time, time_unit = _times(table)
     is_dated = time is not None and not all(map(math.isnan, observations.rows.time))
     if is_dated and time_unit != observations.rows.time_unit:
         words = {"s": "times in seconds", "frames": "numbers of frames"}
         what = f"has {words[time_unit]}, {observations.path.name} has {words[observations.rows.time_unit]}"
-        raise SiteError(Problem(path, what, "give both in the same unit", table.lines[0] if table.lines else 1))
-    positions = [table.numbers(column) for column in columns]
+        raise SiteError(Problem(path, what, "give both in the same unit", min(table.lines, default=1)))
+    places = list(zip(*map(table.numbers, columns), strict=True))
     sigma = _sigmas(table)
     names = _names(table, "thing")
 
@@ -129,7 +135,7 @@ def read_thing_survey(path: Path, observations: ObservationTable) -> SurveyTable
     kept_lines = array("i")
     numbers = {name: number for number, name in enumerate(things)}
     for row, line in enumerate(table.lines):
-        position = [column[row] for column in positions]
+        position = places[row]
         # a receiver without a fix has no position
         if line in table.faults.lines or all(map(math.isnan, position)):
             continue
@@ -198,7 +204,7 @@ def _surveyed_thing(name: str, numbers: Mapping[str, int], table: CsvTable, line
 
 def _require(table: CsvTable, meanings: Collection[str], remedy: str) -> None:
     """Raise SiteError if a column is missing."""
-    missing = [meaning for meaning in meanings if not table.has(meaning)]
+    missing = list(itertools.filterfalse(table.has, meanings))
     if missing:
         have = ", ".join(table.titles.values())
         what = f"has no column {' and no column '.join(missing)}; of its columns these are understood: {have}"
@@ -209,7 +215,7 @@ def _names(table: CsvTable, meaning: str) -> list[str]:
     """The ids in a column, `ONE_THING` in each row if there is no such column."""
     if not table.has(meaning):
         return [ONE_THING] * len(table.rows)
-    names = [text.strip() for text in table.texts(meaning)]
+    names = list(map(str.strip, table.texts(meaning)))
     for line, name in zip(table.lines, names, strict=True):
         if not name:
             table.faults.add(f"{meaning} empty", line, f"{table.titles[meaning]} is empty", "name it in each row")
@@ -239,10 +245,11 @@ def _times(table: CsvTable) -> tuple[array[float] | None, str]:
     if table.number(first) is None and _moment(first) is not None:
         return _moments(table, texts), "s"
     times = table.numbers("time")
-    latest = max((time for time in times if not math.isnan(time)), default=0.0)
+    # since 1970: seconds have ten digits, and programs also write smaller units
+    latest = max(itertools.filterfalse(math.isnan, times), default=0.0)
     for least, unit in _UNITS_OF_EPOCH:
         if latest > least:
-            return array("d", [time * unit for time in times]), "s"
+            return array("d", map(unit.__mul__, times)), "s"
     return times, "s"
 
 

@@ -47,7 +47,10 @@ def check_cameras(record: RunRecord, facts: Facts) -> Iterator[Finding]:
         if facts.sift_alone and _lacks_matches(entry, camera, record):
             entry = replace(entry, remedy=f"{entry.remedy}; or {LEARNED_KEYPOINTS}")
         if entry.kind == "camera-no-usable-pair":
-            may_be_dense = not facts.product and camera.figures.pose_from == "stated"  # on rows that its pose predicts
+            may_be_dense = not facts.product and camera.figures.pose_from in {
+                "stated",
+                "observed",
+            }  # on rows that its pose predicts
             if may_be_dense or camera.id in excused:
                 continue
             if camera.id in blamed:

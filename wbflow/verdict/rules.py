@@ -37,6 +37,7 @@ from .depths import check_depths
 from .ended import EndedNight
 from .ends import check_end
 from .facts import Facts
+from .observed import check_observed
 from .pictures import check_pictures
 from .poses import check_poses
 from .survey import check_survey
@@ -49,6 +50,7 @@ CHECKS: tuple[Check, ...] = (
     check_captures,
     check_pictures,
     check_calibration,
+    check_observed,
     check_poses,
     check_depths,
     check_survey,

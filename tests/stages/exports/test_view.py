@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from wbflow_stages.exports.view import changes_view, cloud_view
-from wbflow_stages.types import NEW, SAME, VANISHED, Changes, Cloud, GroundGrid
+from wbflow_stages.exports.view import changes_view, cloud_view, track_view
+from wbflow_stages.types import NEW, SAME, VANISHED, Changes, Cloud, GroundGrid, ObservedPoses
 
 
 def bowl(count: int) -> Cloud:
@@ -100,3 +100,19 @@ def test_a_night_without_changes_has_an_empty_stream() -> None:
     points = np.zeros((50, 3))
     stream = changes_view(compared(points, np.full(50, SAME), np.zeros(50)))
     assert json.loads(stream[4 : 4 + struct.unpack_from("<I", stream)[0]])["n"] == 0
+
+
+def test_a_track_is_shown_from_its_blue_beginning_to_its_red_end() -> None:
+    track = np.column_stack([np.linspace(313_000, 313_100, 500), np.full(500, 5_154_000.0), np.full(500, 15.0)])
+    head, points, colors = unpacked(track_view(ObservedPoses({}, track=track)))
+    assert head["n"] == head["total"] == 500 and head["layers"] == []
+    order = np.argsort(points[:, 0])
+    assert points[order] == pytest.approx(track, abs=0.002)
+    assert colors[order[0]].tolist() == [60, 120, 255] and colors[order[-1]].tolist() == [255, 70, 40]
+    assert head["voxel"] == pytest.approx(0.4, rel=0.01)
+
+
+def test_a_track_of_no_places_is_an_empty_stream() -> None:
+    stream = track_view(ObservedPoses({}))
+    (length,) = struct.unpack_from("<I", stream)
+    assert json.loads(stream[4 : 4 + length])["n"] == 0

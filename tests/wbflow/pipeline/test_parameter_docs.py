@@ -13,7 +13,7 @@ from wbflow.cli.main import main
 from wbflow.pipeline.binding import method_parameters
 from wbflow.pipeline.functions import FunctionReader
 from wbflow.pipeline.parameter_docs import describe, document
-from wbflow.pipeline.stages import DISPARITY, FEATURES, MATCHES, STAGES, Stage, stage_named
+from wbflow.pipeline.stages import DISPARITY, FEATURES, FRAMES, MATCHES, STAGES, Stage, stage_named
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
@@ -44,7 +44,7 @@ def test_methods_are_listed_with_parameters_of_their_own() -> None:
 
 
 def test_the_stages_command_prints_one_stage_or_all_and_refuses_others() -> None:
-    one = CliRunner().invoke(main, ["stages", STAGES[0].name])
+    one = CliRunner().invoke(main, ["stages", FRAMES])
     assert one.exit_code == 0
     assert "max_captures = 15" in one.output
     every = CliRunner().invoke(main, ["stages"])

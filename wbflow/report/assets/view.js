@@ -35,6 +35,7 @@ class CloudView {
     this.draw();
   }
   colours(set) {
+    if (set.name === "track") return pixelsOf(set.points, "photograph");
     if (this.mode !== "change") return pixelsOf(set.points, this.mode);
     if (set.name === "change") return Uint32Array.from({length: set.points.n}, (_, i) => tinted(set.points.rgb, i, [70, 150, 255]));
     return set.name === "product" && this.changes ? changedPixels(set.points, this.changes) : pixelsOf(set.points, this.mode);
@@ -77,6 +78,7 @@ class CloudView {
     const edge = Math.round(this.wipe * frame.width); // left of it the other night is drawn
     for (const set of this.sets) {
       if (set.name === "change" && this.mode !== "change") continue;
+      if (set.name === "track" && !this.showCameras) continue; // it belongs to the cameras that it has placed
       [frame.from, frame.to] = set.name === "then" ? [0, edge] : [edge, frame.width];
       if (frame.from >= frame.to) continue;
       const pixels = set.pixels[this.mode] ||= this.colours(set);
