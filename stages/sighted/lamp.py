@@ -34,14 +34,18 @@ _APART_S = 1.0
 _LONGEST_STAY_S = 8.0
 _LONGEST_STAY_SHARE = 0.25
 """Time, and share of the recording, from which on a spot at one place is a fixed lamp that was switched on: the longer one."""
-_FULL_EXCESS = 150.0
-"""Grey levels above the background from which on a spot is as bright as a lamp can be."""
-_LARGE_SHARE = 0.012
+_FULL_CONTRAST = 80.0
+"""Light above that of its surroundings from which on a spot stands out as much as a lamp can."""
+_FULL_LEVEL = (20.0, 230.0)
+"""Light of a spot that is as dark as the ground at night, and of one that is as bright as a lamp; 255 is the brightest."""
+_LARGE_SHARE = 0.02
 """Radius of a spot, as a share of the picture's larger side, that counts half: lit clothes and walls are larger."""
-_SPEED_SHARE = 0.25
-"""Speed of a lamp that is near the camera, larger sides of the picture per second: faster ones cost."""
-_SLACK_SHARE = 0.01
-"""Distance, as a share of the larger side, that is added to what this speed allows."""
+_SLACK_SHARE = 0.015
+_SPEED_SHARE = 0.1
+"""Distance from where a lamp is expected that costs as much as a bright spot gains: a share of the picture's larger side, and
+such a share for each second since it was seen."""
+_GOES_ON_S = 0.5
+"""Time for which a lamp is expected to go on as before."""
 _JUMP_COST = 15.0
 """Cost of leaving one track for another, in frames with a bright spot."""
 _MOST_GAP_S = 1.5
@@ -54,8 +58,14 @@ _PAUSE_S = 3.0
 """Time from which on a spot that stays where it is counts less than one that moves: somebody stops, or a light is switched on."""
 _PAUSE_REWARD = 0.3
 """What it counts then."""
-_LEAST_REWARD = 0.15
-"""Median reward of the spots of a path, at least: clothes and walls that something lights are no lamp."""
+_ALIKE = 0.45
+"""Median reward of a few spots of the path that follow each other, over the upper quartile of all, at least."""
+_NEIGHBOURS = 7
+"""Number of these spots."""
+_JUMP_SHARE = 0.15
+"""Way between two spots, as a share of the picture's larger side, that divides a path."""
+_LEAST_REWARD = 0.35
+"""Upper quartile of the rewards of a path, at least: clothes and walls that something lights are no lamp."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +126,11 @@ def lamp_track(times: Float64s, spots: Sequence[Spots], side: int) -> Rows:
     is_fixed, is_still = _stationary(candidates, float(times[-1] - times[0]))
     counted = np.where(is_still, _PAUSE_REWARD, 1.0) * candidates.reward
     candidates = replace(candidates, reward=counted).chosen(~is_fixed)
-    pieces = [piece for piece in _best_path(candidates, side) if _is_lamp(candidates, piece, side)]
+    path = _like_the_rest(candidates, np.sort(np.concatenate([np.zeros(0, np.int32), *_best_path(candidates, side)])))
+    pieces = [piece for piece in _cut(candidates, path, side) if _is_lamp(candidates, piece, side)]
     if not pieces:
         return Rows.none()
-    path = np.sort(np.concatenate(pieces))
+    path = np.concatenate(pieces)
     xy = candidates.xy[path]
     return Rows(candidates.times[path], np.zeros(len(path), np.int32), xy, candidates.sigma_px[path])
 
@@ -139,21 +150,41 @@ def _candidates(times: Float64s, spots: Sequence[Spots], side: int) -> _Candidat
 
 
 def _reward(spots: Spots, side: int) -> Float64s:
-    """(n,) float64 0 to 1: bright, small, and brighter than what else is bright in this frame."""
+    """(n,) float64 0 to 1: bright, small, round, and brighter than what else is bright in this frame."""
     if len(spots.xy) == 0:
         return np.zeros(0)
-    brightness = np.clip(spots.excess / _FULL_EXCESS, 0.0, 1.0)
+    dark, bright = _FULL_LEVEL
+    brightness = np.clip(spots.contrast / _FULL_CONTRAST, 0.0, 1.0) * np.clip((spots.level - dark) / (bright - dark), 0.1, 1.0)
     smallness = 1.0 / (1.0 + (spots.radius / (_LARGE_SHARE * side)) ** 2)
     # a reflection is as bright as the lamp where both are too bright for the sensor, but not as large
     rank = 0.6 + 0.4 * spots.flux / spots.flux.max()
-    return np.asarray(brightness * smallness * rank, np.float64)
+    return np.asarray(brightness * smallness * spots.roundness * rank, np.float64)
+
+
+def _like_the_rest(candidates: _Candidates, path: Int32s) -> Int32s:
+    """A path without its parts that look less like a lamp than most of it: what it follows while the lamp is hidden.
+
+    Nothing is left of one that shows no lamp at all.
+    """
+    reward = candidates.reward[path]
+    if len(path) == 0 or np.percentile(reward, 75) < _LEAST_REWARD:
+        return path[:0]
+    half = _NEIGHBOURS // 2
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(reward, half, mode="edge"), 2 * half + 1)
+    return path[np.median(around, axis=1) >= _ALIKE * np.percentile(reward, 75)]
+
+
+def _cut(candidates: _Candidates, path: Int32s, side: int) -> list[Int32s]:
+    """A path in pieces: cut where the lamp is not seen for long, or jumps."""
+    seconds = np.diff(candidates.times[path])
+    ways = np.linalg.norm(np.diff(candidates.xy[path], axis=0), axis=1)
+    is_cut = (seconds > _MOST_GAP_S) | (ways > _JUMP_SHARE * side)
+    return np.split(path, np.flatnonzero(is_cut) + 1)
 
 
 def _is_lamp(candidates: _Candidates, piece: Int32s, side: int) -> bool:
-    """Is a piece of the path long enough, bright enough, and does it lead anywhere?"""
+    """Is a piece of the path long enough, and does it lead anywhere?"""
     if len(piece) < _LEAST_PIECE:
-        return False
-    if np.median(candidates.reward[piece]) < _LEAST_REWARD:
         return False
     return bool(np.ptp(candidates.xy[piece], axis=0).max() >= _LEAST_WAY_SHARE * side)
 
@@ -197,6 +228,7 @@ def _best_path(candidates: _Candidates, side: int) -> list[Int32s]:
     score = np.zeros(count)
     before = np.full(count, -1, np.int32)
     is_jump = np.zeros(count, np.bool_)
+    velocity = np.zeros((count, 2))
     starts = np.searchsorted(candidates.frame, candidates.frame, side="left")
     oldest = np.searchsorted(candidates.times, candidates.times - _MOST_GAP_S, side="left")
     # number of the best candidate of all earlier frames; -1: there is none
@@ -217,14 +249,17 @@ def _best_path(candidates: _Candidates, side: int) -> list[Int32s]:
         # 2. The same track as a spot shortly before.
         recent = np.arange(oldest[k], first)
         if len(recent):
-            way = np.linalg.norm(candidates.xy[recent] - candidates.xy[k], axis=1)
-            usual = side * (_SLACK_SHARE + _SPEED_SHARE * (candidates.times[k] - candidates.times[recent]))
-            pace = way / usual
-            totals = score[recent] - 0.1 * pace**2 - np.maximum(pace - 1.0, 0.0) ** 2
+            seconds = candidates.times[k] - candidates.times[recent]
+            # from where it would be if it went on as before; of a track that has just begun, this is not known
+            expected = candidates.xy[recent] + velocity[recent] * np.minimum(seconds, _GOES_ON_S)[:, None]
+            way = np.linalg.norm(candidates.xy[k] - expected, axis=1)
+            totals = score[recent] - (way / (side * (_SLACK_SHARE + _SPEED_SHARE * seconds))) ** 2
             if totals.max() > best:
                 best = float(totals.max())
                 before[k] = recent[int(totals.argmax())]
                 is_jump[k] = False
+                step = candidates.xy[k] - candidates.xy[before[k]]
+                velocity[k] = step / (candidates.times[k] - candidates.times[before[k]])
         score[k] = best + candidates.reward[k]
     return _pieces(score, before, is_jump)
 

@@ -1,5 +1,7 @@
 """Bright spots in frames of a fixed camera that its background does not have: candidates for a lamp that is carried about.
 
+A lamp also lights what is around it, as bright as the sensor can show: a spot is what stands out from its surroundings.
+
 The background of each pixel is the median of frames that are spread over the recording, and its noise their median absolute
 deviation: what shines all the time is background, what flickers is noise.
 """
@@ -8,27 +10,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from ..types import Float32s, Float64s, Uint8s
 
-_LEAST_EXCESS = 25.0
-"""Grey levels above the background, after smoothing, from which on a spot is a candidate."""
+_LEAST_CONTRAST = 12.0
+"""Light above that of its surroundings, after smoothing, from which on a spot is a candidate; 255 is the brightest."""
+_GAMMA = 2.2
+_LINEAR = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
+"""Light by grey level: cameras show dark things brighter than they are, so that lit ground is almost as bright as a lamp."""
+_LEAST_EXCESS = 15.0
 _SIGMAS = 6.0
-"""Standard deviations of the pixel's noise, likewise."""
+"""Grey levels, and standard deviations of the pixel's noise, by which it is above the background, at least."""
 _LEAST_NOISE = 1.5
 """Least standard deviation of a pixel, grey levels: encoders hide noise."""
-_MOST_SPOTS = 8
+_MOST_SPOTS = 10
 """Most candidates of a frame: the brightest."""
 _BLUR_SHARE = 0.001
 _LEAST_BLUR_PX = 0.8
 """Standard deviation of the smoothing, as a share of the picture's larger side, but no less than the second in pixels."""
+_WIDE_SHARE = 0.015
+"""Standard deviation of the mean over the surroundings, likewise."""
 _APART_SHARE = 0.012
 """Distance between candidates, as a share of the larger side, at least."""
-_WINDOW_SHARE = 0.04
+_WINDOW_SHARE = 0.035
 """Half the side of the window in which a spot's core is measured, likewise."""
+_RING_SHARE = (0.022, 0.034)
+"""Smallest and largest distance of the surroundings from a spot's middle, likewise."""
+_RING_PERCENTILE = 60.0
+"""Percentile of the surroundings from which a spot must stand out."""
+_CORE = 0.7
+"""Share of its contrast from which on a pixel belongs to a spot's core: glare is uneven over a background that is uneven."""
 _LEAST_SIGMA_PX = 0.15
 """Standard deviation in pixels of the centre of the sharpest spot."""
 _SIGMA_SHARE = 0.2
@@ -70,12 +85,16 @@ class Spots:
 
     xy: Float64s
     """(n, 2) float64 centres, pixels."""
-    excess: Float64s
-    """(n,) float64 grey levels above the background at the brightest pixel."""
+    level: Float64s
+    """(n,) float64 light of the brightest pixel; 255 is the brightest that the sensor shows, and likewise for the others."""
+    contrast: Float64s
+    """(n,) float64 light above that of the surroundings."""
     flux: Float64s
-    """(n,) float64 sum of these levels over the core."""
+    """(n,) float64 sum of these differences over the core."""
     radius: Float64s
     """(n,) float64 of the core, pixels: of its longer axis, if it is long."""
+    roundness: Float64s
+    """(n,) float64 shorter over longer axis of the core."""
 
     @property
     def sigma_px(self) -> Float64s:
@@ -93,26 +112,33 @@ def find_spots(level: Uint8s, background: Background) -> Spots:
     """The spots of a frame, (h, w) uint8 of its brightest channel."""
     side = max(level.shape)
     excess = level.astype(np.float32) / np.float32(_gain(level, background)) - background.level
-    smooth = cv2.GaussianBlur(excess, (0, 0), max(_LEAST_BLUR_PX, _BLUR_SHARE * side))
+    blur = max(_LEAST_BLUR_PX, _BLUR_SHARE * side)
+    smooth = cv2.GaussianBlur(excess, (0, 0), blur)
+    # of the picture itself: where a lamp is too bright for the sensor, the difference would show the background's texture
+    light = _LINEAR[level]
+    standing_out = cv2.GaussianBlur(light, (0, 0), blur) - cv2.GaussianBlur(light, (0, 0), _WIDE_SHARE * side)
 
-    # 1. Maxima that are high enough, and higher than all around them.
+    # 1. Maxima that stand out enough, and more than all around them, and that the background does not have.
     reach = 2 * round(_APART_SHARE * side / 2) + 1
-    is_peak = smooth == cv2.dilate(smooth, np.ones((reach, reach), np.uint8))
+    is_peak = standing_out == cv2.dilate(standing_out, np.ones((reach, reach), np.uint8))
+    is_peak &= standing_out > _LEAST_CONTRAST
     is_peak &= smooth > np.maximum(np.float32(_LEAST_EXCESS), np.float32(_SIGMAS) * background.noise)
     rows, columns = np.nonzero(is_peak)
-    order = np.argsort(-smooth[rows, columns], kind="stable")[: 4 * _MOST_SPOTS]
+    order = np.argsort(-standing_out[rows, columns], kind="stable")[: 4 * _MOST_SPOTS]
 
-    # 2. The core of each: where it has more than half of its peak.
-    found: list[tuple[float, float, float, float, float]] = []
+    # 2. The core of each: where it has most of its contrast.
+    found: list[_Core] = []
     for k in order.tolist():
-        spot = _core(excess, int(rows[k]), int(columns[k]), round(_WINDOW_SHARE * side))
+        spot = _core(light, int(rows[k]), int(columns[k]))
+        if spot.contrast < _LEAST_CONTRAST:
+            continue
         # a bright core may be flat, and have several maxima
-        if all(np.hypot(spot[0] - other[0], spot[1] - other[1]) > max(spot[4], other[4], 2.0) for other in found):
+        if all(np.hypot(spot.x - other.x, spot.y - other.y) > max(spot.radius, other.radius, 2.0) for other in found):
             found.append(spot)
         if len(found) == _MOST_SPOTS:
             break
-    table = np.array(found, np.float64).reshape(-1, 5)
-    return Spots(table[:, :2], table[:, 2], table[:, 3], table[:, 4])
+    table = np.array(found, np.float64).reshape(-1, 7)
+    return Spots(table[:, :2], table[:, 2], table[:, 3], table[:, 4], table[:, 5], table[:, 6])
 
 
 def _gain(level: Uint8s, background: Background) -> float:
@@ -125,22 +151,49 @@ def _gain(level: Uint8s, background: Background) -> float:
     return float(np.clip(np.median(here[usable] / there[usable]), 1 / _MOST_GAIN, _MOST_GAIN))
 
 
-def _core(excess: Float32s, row: int, column: int, reach: int) -> tuple[float, float, float, float, float]:
-    """x, y, peak, flux and radius of the spot around a pixel."""
+class _Core(NamedTuple):
+    """A spot: see `Spots`."""
+
+    x: float
+    y: float
+    level: float
+    contrast: float
+    flux: float
+    radius: float
+    roundness: float
+
+
+def _core(light: Float32s, row: int, column: int) -> _Core:
+    """The spot around a pixel."""
+    side = max(light.shape)
+    reach = max(round(_WINDOW_SHARE * side), 6)
     top = max(row - reach, 0)
     left = max(column - reach, 0)
-    window = excess[top : row + reach + 1, left : column + reach + 1]
-    near = window[max(row - top - 1, 0) : row - top + 2, max(column - left - 1, 0) : column - left + 2]
-    peak = float(near.max())
-    _, labels = cv2.connectedComponents((window > 0.5 * peak).astype(np.uint8))
-    label = labels[row - top, column - left]
-    if label == 0:  # the smoothed maximum lies beside the pixels that are bright
-        label = labels.ravel()[int(window.argmax())]
-    rows, columns = np.nonzero(labels == label)
-    weights = window[rows, columns].astype(np.float64) - 0.5 * peak + 1e-3
-    x = float(weights @ columns / weights.sum())
-    y = float(weights @ rows / weights.sum())
+    window = light[top : row + reach + 1, left : column + reach + 1]
+    y, x = np.indices(window.shape)
+    distance = np.hypot(y - (row - top), x - (column - left))
+
+    # 1. How much it stands out from what is around it.
+    ring = (distance >= _RING_SHARE[0] * side) & (distance <= _RING_SHARE[1] * side)
+    around = float(np.percentile(window[ring], _RING_PERCENTILE))
+    near = np.where(distance <= 1.5, window, -np.inf)
+    brightest = int(near.argmax())
+    contrast = max(float(near.max()) - around, 1.0)
+
+    # 2. Its pixels, their centre and their extent.
+    _, labels = cv2.connectedComponents((window > around + _CORE * contrast).astype(np.uint8))
+    rows, columns = np.nonzero(labels == labels.ravel()[brightest])
+    weights = window[rows, columns].astype(np.float64) - around - _CORE * contrast + 1e-3
     # of a disc, the variance along each axis is a quarter of its squared radius; a pixel has a variance of its own
     spread = np.cov(np.stack([columns, rows]).astype(np.float64), bias=True).reshape(2, 2) + np.eye(2) / 12
-    radius = 2.0 * float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-    return left + x, top + y, peak, float(window[rows, columns].sum()), radius
+    shorter, longer = np.sqrt(np.linalg.eigvalsh(spread)).tolist()
+    at_brightest = (top + brightest // window.shape[1], left + brightest % window.shape[1])
+    return _Core(
+        left + float(weights @ columns / weights.sum()),
+        top + float(weights @ rows / weights.sum()),
+        float(light[at_brightest]),
+        contrast,
+        float((window[rows, columns] - around).sum()),
+        2.0 * longer,
+        shorter / longer,
+    )
