@@ -46,6 +46,8 @@ UPLOAD_SECONDS = 10.0
 _WAIT_SECONDS = 5.0
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _INSTALL = "pip install 'wbflow[cloud]'  (for gs:// also gcsfs, for abfs:// adlfs)"
+_SHARES = {"smb", "cifs", "nfs", "ftp", "ftps", "sftp", "ssh", "webdav", "dav", "afp"}
+"""Schemes of folders that other machines share."""
 _CHECK_ACCESS = "check that it exists and can be reached, and the credentials (for S3: AWS_PROFILE, AWS_ENDPOINT_URL)"
 _OPTIONS: dict[str, dict[str, Any]] = {
     "file": {"auto_mkdir": True},
@@ -140,6 +142,9 @@ class ObjectStore:
 
             system, root = url_to_fs(self.url, use_listings_cache=False, **_OPTIONS.get(self.url.partition("://")[0], {}))
         except ImportError as error:
+            if self.url.partition("://")[0] in _SHARES:
+                what = f"{self.url}: is a folder of another machine, and no object store"
+                raise NoSuchStore(what, remedy="mount it, and name the folder: captures: {root: /mnt/cameras}") from None
             raise NoSuchStore(f"{self.url}: object stores need more packages: {printable(error)}", remedy=_INSTALL) from None
         except ValueError as error:
             raise NoSuchStore(f"{self.url}: {printable(error)}", remedy="write it as s3://bucket/prefix") from None

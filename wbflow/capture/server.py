@@ -410,6 +410,8 @@ def _cause(error: Exception, url: str, patience: float) -> str:
         return f"does not answer within {patience:.0f} s"
     if isinstance(error, requests.exceptions.SSLError):
         return _certificate_fault(error, url, patience)
+    if isinstance(error, requests.exceptions.ProxyError):
+        return f"cannot be reached through the proxy of the environment ({_strerror(error)}): name cameras in no_proxy"
     if isinstance(error, requests.TooManyRedirects):
         return "redirects again and again"
     if isinstance(error, requests.exceptions.InvalidURL | requests.exceptions.InvalidSchema):
@@ -419,7 +421,13 @@ def _cause(error: Exception, url: str, patience: float) -> str:
         return "ends the connection without an answer"
     if isinstance(reason, http.client.HTTPException | urllib3.exceptions.InvalidHeader):
         return f"answers, but not as HTTP prescribes ({type(reason).__name__})"
-    return f"cannot be reached: {getattr(reason, 'strerror', None) or type(reason).__name__}"
+    return f"cannot be reached: {_strerror(error)}"
+
+
+def _strerror(error: Exception) -> str:
+    """The system's words for the innermost reason of an error, else its kind."""
+    reason = innermost(error)
+    return getattr(reason, "strerror", None) or type(reason).__name__
 
 
 def innermost(error: BaseException) -> BaseException:

@@ -147,9 +147,11 @@ def check(site: Path, date: Day | None, work: str | None, no_network: bool) -> N
     wbflow check site.yaml --date yesterday
     """
     from ..commands import check as checks
+    from .libraries import without_library_output
 
     loaded = load(site, work)
-    findings = checks.check(loaded, date_at(loaded, date), not no_network)
+    with without_library_output():  # what a library prints about a file has no name of the file
+        findings = checks.check(loaded, date_at(loaded, date), not no_network)
     for finding in findings:
         echo(f"{finding.severity}: {finding.what}\n  {finding.remedy}")
     if not findings:

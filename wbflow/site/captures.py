@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import functools
 import glob
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -276,7 +277,10 @@ def nothing_matches(site: Site, date: datetime.date) -> str:
         undated = next(site.captures.undated(camera.id), None)
         if undated is not None:
             pattern = printable(site.captures.text)
-            return f"{printable(undated)} has no valid date or time where captures.pattern ({pattern}) wants them"
+            what = f"{printable(undated)} has no valid date or time where captures.pattern ({pattern}) wants them"
+            if re.search("%[aAbBp]", site.captures.text):
+                what += "; names of months and days are English there (November, Nov)"
+            return what
     wanted = printable(expected(site, site.cameras[0], date).removeprefix(f"{site.captures.root}/"))
     return f"captures.pattern wants {wanted}, and {_what_is_there(site)}"
 

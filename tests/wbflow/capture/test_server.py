@@ -323,6 +323,15 @@ def test_the_reason_says_what_was_answered(address: str, path: str, access: Acce
     assert "wrong" not in str(caught.value) and "127.0.0.1" not in str(caught.value)
 
 
+def test_a_proxy_of_the_environment_that_is_in_the_way_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("http_proxy", "http://viewer:geheim@127.0.0.1:9")
+    with pytest.raises(OSError, match=r"through the proxy of the environment .*Connection refused.*no_proxy") as caught:
+        taken(f"{address}/snapshot/whole")
+    assert "geheim" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -165,3 +165,17 @@ def test_a_folder_that_cannot_be_read_is_named_for_its_camera_and_once_for_all(
     output = " ".join(output.split())
     assert code == 1 and output.count(f"folder {captures} cannot be read: Permission denied") == 1
     assert "camera roof" not in output
+
+
+def test_a_folder_of_another_machine_is_to_be_mounted(folder: Path) -> None:
+    code, output = checked(folder, site=SITE.replace("root: captures", "root: 'smb://nas/cams'"))
+    assert code == 2 and "is a folder of another machine" in output and "mount it, and name the folder" in output
+
+
+def test_what_libraries_print_about_a_file_is_not_among_the_findings(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    jpeg = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8))[1].tobytes()
+    scan = jpeg.index(b"\xff\xda")
+    (folder / "captures/gate/1.png").write_bytes(jpeg[:scan] + bytes(40) + jpeg[scan:])
+    code, output = checked(folder)
+    assert code == 0, output
+    assert "extraneous" not in output + "".join(capfd.readouterr())

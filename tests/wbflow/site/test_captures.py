@@ -337,6 +337,11 @@ def test_a_night_without_captures_is_told_the_three_nearest_nights_and_the_newes
     assert nothing_matches(s, datetime.date(2026, 11, 27)).endswith("the nearest 2026-11-11, 2026-11-14, 2026-11-28")
 
 
+def test_names_of_months_in_another_language_are_explained(tmp_path: Path) -> None:
+    s = site(tmp_path, "{camera}/{date:%d-%B-%Y}.jpg", ["gate/19-Dezember-2026.jpg"])
+    assert nothing_matches(s, datetime.date(2026, 12, 19)).endswith("names of months and days are English there (November, Nov)")
+
+
 def test_a_fault_of_our_own_is_raised_at_once_and_not_taken_for_a_disk_that_hangs() -> None:
     def read() -> None:
         raise re.error("of our own")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +210,29 @@ def test_the_baseline_of_a_stereo_calibration_is_doubted_until_its_unit_is_state
     assert doubts(stereo | pose | {"unit": "m"}) == [] == doubts(stereo)
     with pytest.raises(SiteError, match="unit is mm, and lengths are metres here"):
         doubts(stereo | pose | {"unit": "mm"})
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"camera_matrix": [[240, 5, 0, 160, 2], [0, 240, 5, 90, 1], [0, 0, 1]]}, "3x3 numbers, not 13.*point, not a comma"),
+        ({"camera_matrix": [[240.5, 0, 0], [0, 240.5, 0], [160, 90, 1]]}, "is transposed, as MATLAB writes it"),
+    ],
+)
+def test_a_camera_matrix_in_another_form_is_refused_with_the_reason(
+    tmp_path: Path, content: dict[str, object], words: str
+) -> None:
+    lens = {"distortion_coefficients": BROWN, "image_width": WIDTH, "image_height": HEIGHT}
+    with pytest.raises(SiteError) as caught:
+        read_calibration(write(tmp_path / "gate.yaml", content | lens))
+    assert re.search(words, str(caught.value), re.DOTALL)
+
+
+def test_the_lens_of_a_depth_camera_is_read(tmp_path: Path) -> None:
+    """RealSense writes its model as two words."""
+    lens: dict[str, object] = {"width": WIDTH, "height": HEIGHT, "fx": 240.5, "fy": 240.5, "ppx": 160.2, "ppy": 90.1}
+    camera = read_calibration(write(tmp_path / "gate.json", lens | {"model": "Brown Conrady", "coeffs": BROWN}))["gate"]
+    assert (camera.lens.model, camera.lens.distortion) == ("brown", BROWN)
 
 
 def test_a_rotation_in_a_ros_message_is_the_rectification_and_no_pose(tmp_path: Path) -> None:

@@ -107,7 +107,10 @@ def _camera_matrix(entry: Entry) -> tuple[str, Matrix]:
     if matrix_key is not None:
         numbers = numbers_of(entry, matrix_key)
         if len(numbers) != 9:
-            raise entry.fault(matrix_key, "must be 3x3 numbers", "write [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+            remedy = "write [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+            if len(numbers) > 9:
+                remedy = f"write decimals with a point, not a comma (240.5, not 240,5); {remedy}"
+            raise entry.fault(matrix_key, f"must be 3x3 numbers, not {len(numbers)}", remedy)
         return matrix_key, rows_of(numbers, 3)
     if focal_key is None:
         remedy = "add the camera matrix, K: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], in pixels"
@@ -248,5 +251,5 @@ def _lens_model(entry: Entry, distortion_key: str | None, count: int) -> str:
 
 def _wbflow_model(name: str) -> str:
     """wbflow's name of a lens model."""
-    known = MODEL_NAMES.get(name.lower().replace("-", "_").removeprefix("distortion."))
+    known = MODEL_NAMES.get(name.lower().replace("-", "_").replace(" ", "_").removeprefix("distortion."))
     return known or name.lower().replace("_", "-")
