@@ -16,11 +16,14 @@ from ..io.image_headers import (
     jpeg_offset,
     jpeg_segments,
     largest_stated_value,
+    other_content,
     picture_size,
 )
 from ..types import Capture, Lens, Uint8s
 from .levels import Levels, Values, grey_levels_of, levels_of
 
+_SHOWN_BYTES = 200
+"""How much of a file that is no image is looked at, to say what it is."""
 MOST_PIXELS = 200_000_000
 """Largest image that is decoded if its size is stated: 0.6 GB, and twice that while the channels are reordered."""
 MOST_UNSTATED_PIXELS = 110_000_000
@@ -223,7 +226,10 @@ def decoded(name: str, data: Uint8s, flags: int) -> Values:
         if grey is not None and grey.ndim == 2:
             image = np.repeat(grey[..., None], 3, axis=2)
     if image is None:
-        raise NotAnImage(f"{name} is no image that can be read ({data.size:,} bytes)")
+        what = other_content(data[:_SHOWN_BYTES].tobytes())
+        if not data.any():
+            what = "holds zeros only: its disk, or the job that copies it, has failed"
+        raise NotAnImage(f"{name} {what or 'is no image that can be read'} ({data.size:,} bytes)")
     return image
 
 

@@ -25,6 +25,14 @@ _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 """Major brands of HEIC files (ISO/IEC 23008-12): coded as H.265."""
 _IMAGE_BRANDS = (*_HEIF_BRANDS, b"avif", b"avis")
+_OTHER_KINDS = {
+    b"\xff\x0a": "a JPEG XL image",
+    b"\x00\x00\x00\x0cJXL ": "a JPEG XL image",
+    b"PK\x03\x04": "a ZIP archive",
+    b"\x1f\x8b": "a compressed file (gzip)",
+    b"%PDF": "a PDF document",
+}
+"""First bytes of files that people take for images."""
 MOST_LEADING_BYTES = 512
 """Most bytes before a JPEG that are skipped: the header of a stream's part is shorter, an EXIF thumbnail lies behind more."""
 
@@ -138,6 +146,18 @@ def is_image(data: bytes) -> bool:
     if data[4:8] == b"ftyp" and data[8:12] in _IMAGE_BRANDS:
         return True
     return data[:3] == _JPEG_START
+
+
+def other_content(data: bytes) -> str:
+    """What a file holds instead of an image, by its first bytes, in words that follow its name; "" if unknown."""
+    text = data.lstrip(b"\xef\xbb\xbf \r\n\t")
+    if text.startswith(b"<"):
+        shown = " ".join(text[:60].decode("latin-1").split())
+        return f"is a web page, not a picture: {shown!r}; it may say what the camera, or the server, wanted"
+    for start, kind in _OTHER_KINDS.items():
+        if data.startswith(start):
+            return f"is {kind}, which is not read: have the camera write JPEG or PNG"
+    return ""
 
 
 def is_heic(data: bytes) -> bool:

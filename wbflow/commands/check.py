@@ -19,6 +19,7 @@ from ..cache.untrusted import read_untrusted
 from ..errors import ExitCode
 from ..pipeline.stages import SITE_TYPES
 from ..plugins import load
+from ..records.findings import FINDINGS
 from ..records.run_folder import NoSuchRun, RunFolder
 from ..runner.disk import night_bytes
 from ..runner.night import Night
@@ -97,6 +98,7 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
     if folder:
         what = f"{site.file}: no camera has a capture: {folder.name} {folder.fault}"
         return [*faults, Fault("error", what, "until then, every run fails", ExitCode.FAILED)]
+    faults += _faults_of_alike(site, night)
     for number, camera in enumerate(site.cameras):
         line, column = site.document.place(("cameras", number))
         where = f"{site.file}:{line}:{column}: camera {camera.id}"
@@ -118,6 +120,24 @@ def check_captures(site: Site, night: Night) -> list[Fault]:
         if gap is not None:
             remedy = "give the night's captures a pattern of their own, or a folder of their own"
             faults.append(Fault("warning", f"{where}: {gap}", remedy, ExitCode.GOOD))
+    return faults
+
+
+def _faults_of_alike(site: Site, night: Night) -> list[Fault]:
+    """Cameras that deliver the same files: a job that copies them has mixed them up."""
+    deliveries: dict[str, list[tuple[str, str]]] = {}
+    for camera, files in night.files.captures.items():
+        for digest, name in {file.digest: file.name for file in files if file.digest}.items():
+            deliveries.setdefault(digest, []).append((camera, name))
+    said: set[tuple[str, ...]] = set()
+    faults = []
+    for delivered in deliveries.values():
+        cameras = tuple(camera for camera, _ in delivered)
+        if len(cameras) > 1 and cameras not in said:
+            said.add(cameras)
+            names = " and ".join(name for _, name in delivered)
+            what = f"{site.file}: {', '.join(cameras)} deliver the same picture: {names} are equal"
+            faults.append(Fault("error", what, FINDINGS["cameras-alike"].remedy, ExitCode.DEGRADED))
     return faults
 
 

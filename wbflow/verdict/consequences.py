@@ -22,7 +22,7 @@ def with_causes(findings: Iterable[Finding], record: RunRecord, facts: Facts) ->
     A pair gives nothing if one of its cameras does.  A night has lost an amount with its cameras if what the other pairs gave on
     the last good night would, by itself, be a finding that is no worse.
     """
-    reported = list(findings)
+    reported = _without_false_moves(list(findings))
     lost = tuple(camera.id for camera in record.cameras if not camera.ok)
     with_finding: set[str] = set()
     for finding in reported:
@@ -31,6 +31,15 @@ def with_causes(findings: Iterable[Finding], record: RunRecord, facts: Facts) ->
     if not lost or not with_finding.issuperset(lost):
         return tuple(reported)
     return tuple(replace(finding, follows=lost) if _follows(finding, lost, record, facts) else finding for finding in reported)
+
+
+def _without_false_moves(findings: list[Finding]) -> list[Finding]:
+    """Return the findings without moves of cameras that deliver the picture of another one: that contradicts their poses, too."""
+    alike: set[str] = set()
+    for finding in findings:
+        if finding.kind == "cameras-alike":
+            alike.update(finding.subject)
+    return [finding for finding in findings if finding.kind != "camera-moved" or not alike.issuperset(finding.subject)]
 
 
 def _follows(finding: Finding, lost: Collection[str], record: RunRecord, facts: Facts) -> bool:

@@ -174,6 +174,22 @@ def test_the_end_of_a_jpeg_is_found_behind_thumbnails_and_before_what_follows() 
         assert jpeg_end(whole[:-1]) is None
 
 
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"\r\n<html><body>Please log in</body></html>", "is a web page, not a picture: '<html><body>Please log in"),
+        (b"\xff\x0a\x7f" + bytes(range(99)), "is a JPEG XL image, which is not read: have the camera write JPEG"),
+        (b"PK\x03\x04" + bytes(range(99)), "is a ZIP archive"),
+        (bytes(5000), "holds zeros only: its disk, or the job that copies it, has failed (5,000 bytes)"),
+        (b"ordinary text", "is no image that can be read (13 bytes)"),
+    ],
+)
+def test_what_a_file_is_that_is_no_image_is_said(data: bytes, words: str) -> None:
+    with pytest.raises(NotAnImage) as caught:
+        decode(capture(data, "gate.jpg"))
+    assert str(caught.value).startswith("gate.jpg ") and words in str(caught.value)
+
+
 @pytest.mark.parametrize("step", [1, 2, 7, 1000])
 def test_a_jpeg_is_read_on_where_reading_it_has_stopped(step: int) -> None:
     thumbnail = b"\xff\xe1" + struct.pack(">H", len(JPEG) + 2) + JPEG

@@ -179,3 +179,11 @@ def test_what_libraries_print_about_a_file_is_not_among_the_findings(folder: Pat
     code, output = checked(folder)
     assert code == 0, output
     assert "extraneous" not in output + "".join(capfd.readouterr())
+
+
+def test_cameras_that_deliver_the_same_files_are_found(folder: Path) -> None:
+    for name in ("1.png", "22.png"):
+        (folder / "captures/roof" / name).write_bytes((folder / "captures/gate" / name).read_bytes())
+    code, output = checked(folder)
+    assert code == 3 and output.count("error:") == 1
+    assert "gate, roof deliver the same picture: gate/1.png and roof/1.png are equal" in output

@@ -216,7 +216,7 @@ def test_the_baseline_of_a_stereo_calibration_is_doubted_until_its_unit_is_state
     ("content", "words"),
     [
         ({"camera_matrix": [[240, 5, 0, 160, 2], [0, 240, 5, 90, 1], [0, 0, 1]]}, "3x3 numbers, not 13.*point, not a comma"),
-        ({"camera_matrix": [[240.5, 0, 0], [0, 240.5, 0], [160, 90, 1]]}, "is transposed, as MATLAB writes it"),
+        ({"camera_matrix": [[240.5, 0, 0], [0, 240.5, 0], [160, 90, 1]]}, "this is transposed, as MATLAB writes it"),
     ],
 )
 def test_a_camera_matrix_in_another_form_is_refused_with_the_reason(

@@ -11,6 +11,7 @@ from wbflow.records.acknowledgement import Acknowledgement
 from wbflow.records.findings import Finding
 from wbflow.records.record import CameraRecord, PairRecord, RunRecord
 from wbflow.site.models import Expected
+from wbflow.verdict.consequences import with_causes
 from wbflow.verdict.facts import Facts
 
 WHOLE = night("2026-11-19")
@@ -82,6 +83,13 @@ def test_no_cloud_of_two_cameras_that_share_nothing_stands_by_itself() -> None:
     rejected = usable("mast", "roof", rejected=[("crane", "gate")])
     tonight = night(cameras=without("mast", "roof"), pairs=rejected, points=0, past=[WHOLE])
     assert found(tonight, "no-cloud").follows == ()
+
+
+def test_a_camera_that_delivers_the_picture_of_another_has_not_moved() -> None:
+    moved = Finding("camera-moved", ("roof",), "the known pose of roof contradicts the images")
+    alike = Finding("cameras-alike", ("gate", "roof"), "gate, roof deliver the same picture")
+    crane = replace(moved, subject=("crane",))
+    assert with_causes([moved, crane, alike], WHOLE, Facts()) == (crane, alike)
 
 
 def test_nothing_follows_if_all_cameras_are_in_use() -> None:

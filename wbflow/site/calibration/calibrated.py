@@ -95,7 +95,7 @@ class Calibrated(BaseModel):
     @classmethod
     def _check_camera_matrix(cls, K: Matrix) -> Matrix:
         if K[0][2] == 0 == K[1][2] and K[2][0] > 0 and K[2][1] > 0:
-            raise ValueError("is transposed, as MATLAB writes it: swap rows and columns, [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+            raise ValueError("must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; this is transposed, as MATLAB writes it")
         if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != [0, 0, 1]:
             raise ValueError("must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
         return K
