@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 _LOOP_FIGURES = (
     " (score {score:.1f}, {distinct_cells:.0f} cells with distinctive matches, {closed:.0f} of {triangles:.0f} triangles close)"
@@ -143,6 +143,10 @@ class Reason(StrEnum):
     NO_SUPPORTED_POINT = "no-supported-point", "no point is probable enough and supported by {min_consistent_pairs:.0f} pairs"
 
 
+class NoResult(AttributeError, ValueError):
+    """A part of a result was asked for, and there is none; the message says why."""
+
+
 @dataclass(frozen=True)
 class Rejected:
     """A stage ran, and found nothing usable.
@@ -158,6 +162,14 @@ class Rejected:
 
     def __post_init__(self) -> None:
         _ = self.reason  # a missing figure raises KeyError here, where it was forgotten, not where the message is shown
+
+    if not TYPE_CHECKING:  # a type checker is to find this before
+
+        def __getattr__(self, name: str) -> None:
+            """Raises NoResult with the reason: somebody goes on as if there were a result."""
+            if name.startswith("_"):  # what Python and notebooks look for
+                raise AttributeError(name)
+            raise NoResult(f"there is no {name!r}, since nothing usable was found: {self.reason}")
 
     @property
     def code(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import subprocess
 import sys
@@ -44,6 +45,16 @@ def test_a_stated_field_of_view_sets_the_focal_length(folder: Path) -> None:
     frame = wb.read_frame(folder / "left.png", hfov_deg=60.0, resolution=480)
     assert frame.image.shape[1] == 480 and frame.view.K is not None
     np.testing.assert_allclose(frame.view.K[0, 0], 240 / np.tan(np.radians(30)), rtol=0.01)
+
+
+def test_going_on_with_a_rejected_result_says_why_there_is_none() -> None:
+    fog = np.broadcast_to(np.linspace(60, 200, 160).astype(np.uint8)[None, :, None], (90, 160, 3)).copy()
+    rejected = wb.detect(wb.types.Frame.from_image(fog, K=np.array([[100.0, 0, 79.5], [0, 100, 44.5], [0, 0, 1]])))
+    assert isinstance(rejected, wb.Rejected)
+    with pytest.raises(ValueError, match=re.escape(rejected.reason)):
+        wb.match(rejected, rejected)  # type: ignore[arg-type]
+    assert not hasattr(rejected, "xy")
+    assert pickle.loads(pickle.dumps(rejected)) == rejected
 
 
 def test_stages_are_functions_even_after_importing_their_modules() -> None:

@@ -152,6 +152,8 @@ def _pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
         return finding("camera-unverified", subject, reason=reason)
     if not tried or any(pair.ok for pair in tried):
         return None
+    if all(pair.outcome == "failed" for pair in tried):
+        return None  # the tasks are at fault, not the camera, and have a finding
     count_text = f"none of its {len(tried)} pairs could" if len(tried) > 1 else "its only pair could not"
     remedy = FINDINGS["camera-no-usable-pair"].remedy
     if any(pair.figures.known == "stated" for pair in tried):

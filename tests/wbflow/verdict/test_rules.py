@@ -431,6 +431,12 @@ def test_two_cameras_with_equally_many_rejected_pairs_are_both_named() -> None:
     assert [f.subject for f in found if f.kind == "camera-no-usable-pair"] == [("mast",), ("roof",)]
 
 
+def test_a_camera_all_of_whose_pairs_failed_is_not_at_fault() -> None:
+    """The function of a stage is: the finding about its tasks says so."""
+    tried = [pair("crane", "gate"), pair("crane", "roof", "failed"), pair("gate", "roof", "failed")]
+    assert "camera-no-usable-pair" not in [finding.kind for finding in verdict_of(night(pairs=tried)).findings]
+
+
 def test_a_camera_in_no_pair_is_a_finding() -> None:
     assert only(night(pairs=without("roof"))).kind == "camera-unpaired"
 
