@@ -27,8 +27,8 @@ def detect(
     frame : the clean frame; keypoints on masked pixels are left out.
     model : the ONNX file of a learned detector: in the site file, `model: PATH` or a name that `wbflow models` lists.  Its
         content, not its path, decides whether keypoints are detected again.
-    detector : "sift": SIFT in the frame and in the frame compressed by 2 in x; "onnx": a learned detector, which takes `model`,
-        for views more than 45 degrees apart; "sift+onnx": both; or a function of your own, `package.module:function`.
+    detector : "sift": SIFT in the frame and in the frame compressed by 2 in x; "onnx": a learned detector, which takes `model`;
+        "sift+onnx": both, for views far apart; or a function of your own, `package.module:function`.
     min_keypoints : reject the frame if it has fewer, without those of the compressed view.
     options : parameters of the detector, see its function.
     """

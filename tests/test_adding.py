@@ -90,7 +90,7 @@ def test_adding_a_matcher_touches_at_most_two_files(tree: Path) -> None:
     site = toy(tree, matches={"matcher": "nearby", "radius_px": 500.0, "min_matches": 1})
     assert {pair["matches"] for pair in record(site)["pairs"]} == {1}
     change_stages(site, matches={"matcher": "nerby"})
-    assert "mutual, kdtree, nearby, onnx" in site.wbflow("check").stderr
+    assert "mutual, kdtree, nearby, lightglue, onnx" in site.wbflow("check").stderr
 
 
 def test_adding_an_export_touches_at_most_three_files(tree: Path) -> None:

@@ -64,8 +64,8 @@ def detect_onnx(
     grid_columns : number of square cells across the image, over which the keypoints are spread.
     crowding : a cell yields at most this many times its even share while other cells still have keypoints; no unit.
     long_side_px : long side to which larger frames are scaled, pixels.
-    tile_px : frames larger than this are searched in tiles of at most this side, since the network takes about 1.3 kB for each
-        pixel that it sees at a time.
+    tile_px : frames larger than this are searched in tiles of at most this side, since the network takes about 2 kB for each
+        pixel that it sees at a time (ONNX Runtime: 1.4 kB in the first frame, more from the second one on).
     """
     session = onnx_session(model)
     shapes = _checked_interface(model.name, session)

@@ -66,7 +66,7 @@ PUBLISHED_MODELS = {
         PublishedModel(
             "aliked-n16rot",
             "features",
-            "learned keypoints for views far apart, if cameras are on their side or upside down",
+            "learned keypoints for views far apart, of cameras on their side or upside down, too",
             "BSD-3-Clause",
             2_997_054,
             "39c423d0a6f03d39ec89d3d1d61853765c2fb6a8b8381376c703e5758778a547",
@@ -74,7 +74,7 @@ PUBLISHED_MODELS = {
         PublishedModel(
             "aliked-n32",
             "features",
-            "learned keypoints for views more than 45 degrees apart, of upright cameras",
+            "learned keypoints for views far apart, of upright cameras",
             "BSD-3-Clause",
             4_205_634,
             "a077728a02d2de1a775c66df6de8cfeb7c6b51ca57572c64c680131c988c8b3c",
