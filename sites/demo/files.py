@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,13 @@ import numpy.typing as npt
 from wbflow_stages.types import Cloud
 
 from .nights import CameraNights, Extent, NightsSite, yard_nights
-from .render.cameras import VARIANTS
+from .render.cameras import VARIANTS, choose_mounts
 from .render.photograph import DemoCamera, DemoSite, Shots
 from .render.sensor import jpeg, png
 from .scenes import SCENES, render
 from .script import CONDITIONS, FOREVER, Stay, date_of, event_of, stays, turned_axes, weather_of
+from .walk import MOST_CLOCK_S, SECONDS, WALKS, lamp_places, walk_recordings
+from .yard import yard_texel_m
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,17 @@ class DemoFiles:
     files: Iterator[File]
 
 
-def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int = 0, **options: Any) -> DemoFiles:
-    """Render a scene with the arguments of `scenes.render`; the same arguments give the same bytes."""
+def demo_files(
+    scene: str, *, small: bool = False, light: str = "day", seed: int = 0, walk: bool = False, **options: Any
+) -> DemoFiles:
+    """Render a scene with the arguments of `scenes.render`; the same arguments give the same bytes.
+
+    walk: with recordings of a walk through the yard, from which its poses can be found; the site file states none.  Raises
+    ValueError for the walk of another scene, or with other lenses or surfaces.
+    """
+    kinds = {options.get(key, "standard") for key in ("lenses", "surfaces")}
+    if walk and (scene != "yard" or kinds != {"standard"}):
+        raise ValueError("a walk leads through the standard yard, with its own lenses and surfaces")
     site = render(scene, small=small, light=light, seed=seed, **options)
     # the manifest names only what differs from the standard yard
     manifest: dict[str, Any] = {}
@@ -57,11 +69,16 @@ def demo_files(scene: str, *, small: bool = False, light: str = "day", seed: int
         if kind != "standard":
             manifest[key] = kind
     manifest.update(light=light, small=small, captures=len(site.cameras[0].captures), seed=seed)
-    return DemoFiles(manifest, scene_files(site, scene, light, options.get("lenses", "standard")))
+    files = scene_files(site, scene, light, options.get("lenses", "standard"), has_poses=not walk)
+    if walk:
+        manifest["walk"] = True
+        size = (site.cameras[0].lens.width, site.cameras[0].lens.height)
+        files = chain(files, _walk_files(Shots(len(site.cameras), 1, size, seed)))
+    return DemoFiles(manifest, files)
 
 
-def scene_files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[File]:
-    """Yield name and content of every file of the demo."""
+def scene_files(site: DemoSite, scene: str, light: str, lenses: str, has_poses: bool = True) -> Iterator[File]:
+    """Yield name and content of every file of the demo; `has_poses`: the site file states them."""
     for camera in site.cameras:
         for k, image in enumerate(camera.captures):
             yield f"captures/{camera.name}/{camera.times[k]:%Y-%m-%d}_{k + 1}.jpg", jpeg(image)
@@ -69,23 +86,46 @@ def scene_files(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator
         # along the rays of a fisheye, not along its axis: a view may reach behind the camera
         array_name = "range" if camera.lens.model == "fisheye" else "depth"
         yield f"truth/depth/{camera.name}.npz", npz_bytes(**{array_name: camera.depth})
-    yield from _cameras_and_reference(site.cameras, site, {"light": light})
+    yield from _cameras_and_reference(site.cameras, site, {"light": light}, has_poses)
     about_lenses = ""
     if lenses != "standard":
         about_lenses = _text("lenses", lenses=VARIANTS[lenses])
     words = {"about": SCENES[scene].about, "scene": "yard" if scene == "yard" else "scene", "also": about_lenses}
-    yield "README.txt", _text("readme", **words).encode()
+    readme = _text("readme", **words)
+    if not has_poses:
+        readme += _text("walk")
+    yield "README.txt", readme.encode()
     site_file = _site_file(scene, site.cameras, f"{site.cameras[0].times[0]:%Y-%m-%d}_1.jpg")
     if lenses == "brown":
         site_file += _text("whole_field")
     yield "site.yaml", site_file.encode()
 
 
-def _cameras_and_reference(cameras: Sequence[DemoCamera], site: DemoSite | NightsSite, taken: dict[str, Any]) -> Iterator[File]:
-    """Yield the calibration (for the site and for the truth), and the reference cloud with its summary."""
-    calibration = json_bytes({camera.name: calibration_of(camera) for camera in cameras})
-    yield "cameras.json", calibration
-    yield "truth/cameras.json", calibration
+def _walk_files(shots: Shots) -> Iterator[File]:
+    """Yield the recordings of a walk through the yard, and its truth."""
+    truth: dict[str, Any] = {"unit": "m"}
+    for light in WALKS:
+        truth[light] = {"clock_s": {}}
+    for recording in walk_recordings(shots, yard_texel_m(shots), choose_mounts(shots.cameras)):
+        yield f"walk/{recording.light}/{recording.camera}.mp4", recording.video
+        truth[recording.light]["clock_s"][recording.camera] = recording.clock_s
+    times = np.arange(-MOST_CLOCK_S, SECONDS + MOST_CLOCK_S, 0.1)
+    for light in WALKS:
+        rows = np.column_stack([times, lamp_places(times, light)])
+        truth[light]["seconds_x_y_z"] = np.round(rows, 4).tolist()
+    yield "truth/walk.json", json_bytes(truth)
+
+
+def _cameras_and_reference(
+    cameras: Sequence[DemoCamera], site: DemoSite | NightsSite, taken: dict[str, Any], has_poses: bool = True
+) -> Iterator[File]:
+    """Yield the calibration (of the site, perhaps without poses, and true), and the reference cloud with its summary."""
+    truth = {camera.name: calibration_of(camera) for camera in cameras}
+    stated = {}
+    for name, entry in truth.items():
+        stated[name] = {key: value for key, value in entry.items() if has_poses or key not in ("R", "C")}
+    yield "cameras.json", json_bytes(stated)
+    yield "truth/cameras.json", json_bytes(truth)
     yield "truth/reference.ply", reference_points(site.reference, site.voxel_m)
     summary = {"points": len(site.reference.points), "voxel_m": site.voxel_m, "seen_by_at_least": 2, "unit": "m"}
     yield "truth/reference.json", json_bytes(summary | taken)

@@ -37,7 +37,7 @@ from .render.renderer import Hits, PreparedScene, build_atlas, ray_scene, tensor
 from .render.scene import STATIC, Scene, SceneBuilder, joined
 from .render.sensor import burn_clock, clock_mask, develop, jpeg, sensor_of
 from .script import CONDITIONS, CameraEvent, Conditions, Stay, event_of, frame_time, stays, turned_axes, weather_of
-from .yard import static_yard
+from .yard import static_yard, yard_texel_m
 
 RASTER_M = 0.01
 """Side of the cells in which a thing's volume is measured, metres."""
@@ -152,7 +152,7 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
     shots.check(len(MOUNTS))
     if nights < 1:
         raise ValueError(f"at least one night can be rendered, not {nights}")
-    things = Things(shots.random(4), _texel_m(shots))
+    things = Things(shots.random(4), yard_texel_m(shots))
     scenes = list(_scenes(things, nights, shots))
     with ThreadPoolExecutor(shots.threads) as pool:
         done = list(pool.map(lambda mount: _camera_nights(scenes, shots, mount), choose_mounts(shots.cameras)))
@@ -168,17 +168,12 @@ def yard_nights(nights: int, shots: Shots) -> NightsSite:
 
 def traffic_scenes(nights: int, shots: Shots) -> list[Scene]:
     """Return the people and vehicles of each frame of the first night, then of the second, and so on."""
-    return movers(shots.random(2), max(_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
-
-
-def _texel_m(shots: Shots) -> float:
-    """Return the side of a texel, metres: that of a pixel some ten metres away."""
-    return shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
+    return movers(shots.random(2), max(yard_texel_m(shots), 0.02), nights * shots.captures, people=PEOPLE, vehicles=VEHICLES)
 
 
 def _scenes(things: Things, nights: int, shots: Shots) -> Iterator[_NightScene]:
     """Yield the yard on each night, without traffic and at each frame; all share textures and sky visibility."""
-    yard = static_yard(shots.random(1), _texel_m(shots))
+    yard = static_yard(shots.random(1), yard_texel_m(shots))
     traffic = traffic_scenes(nights, shots)
     # one atlas for all nights, which share their textures
     atlas = build_atlas(yard.textures + things.scene(stays(1)).textures + traffic[0].textures)

@@ -211,10 +211,15 @@ def _lorry(build: SceneBuilder, rng: Rng, texel_m: float) -> None:
         build.ball(np.array([3.75, 6.6, 0.45]) + along * ahead + side * left, (0.46, 0.46, 0.46), dark, steps=7)
 
 
+def yard_texel_m(shots: Shots) -> float:
+    """Return the side of a texel, metres: that of a pixel some ten metres away."""
+    return shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
+
+
 def yard(shots: Shots) -> DemoSite:
     """Render the yard with up to 8 neighbouring cameras of a half ring.  Raises ValueError for impossible shots."""
     shots.check(len(MOUNTS))
-    texel_m = shots.texel_m(0.0098 * 1280, 0.0098, 0.1)
+    texel_m = yard_texel_m(shots)
     still = static_yard(shots.random(1), texel_m, shots.surfaces)
     moving = tuple(movers(shots.random(2), max(texel_m, 0.02), shots.captures))
     night = Night(choose_mounts(shots.cameras), still, moving, light_of(shots.light, LAMPS))

@@ -46,7 +46,7 @@ _SPEED_SHARE = 0.1
 such a share for each second since it was seen."""
 _GOES_ON_S = 0.5
 """Time for which a lamp is expected to go on as before."""
-_JUMP_COST = 15.0
+_JUMP_COST = 6.0
 """Cost of leaving one track for another, in frames with a bright spot."""
 _MOST_GAP_S = 1.5
 """Longest time for which a lamp may be hidden (or be off, if it blinks) and still be on the same track."""

@@ -28,7 +28,8 @@ _DEFAULTS = {"scene": "yard", "light": "day", "lenses": "standard", "surfaces": 
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the scene.")
 @click.option("--nights", type=click.IntRange(min=1), metavar="N", help="Render nights of the yard (640x360).")
 @click.option("--frames", type=click.IntRange(min=1), default=3, metavar="K", help="Frames of each camera and night.")
-def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
+@click.option("--walk", is_flag=True, help="The yard without poses, and recordings of a lamp that is carried through it.")
+def demo(folder: Path, nights: int | None, frames: int, walk: bool, **options: Any) -> None:
     """Render the demo site (captures, site.yaml, truth) into DIR.
 
     With --nights, each night has its own light and traffic; cameras are turned, covered, frozen and swapped, things appear and
@@ -40,17 +41,23 @@ def demo(folder: Path, nights: int | None, frames: int, **options: Any) -> None:
     wbflow demo wide --lenses fisheye             every second camera sees 180 degrees
     wbflow demo winter --surfaces weak            white walls, wet asphalt, snow
     wbflow demo harbour --nights 7 --small
+    wbflow demo new --walk                        no poses: wbflow observe new/site.yaml new/walk/night
     """
     from ..commands.demo import write_demo
 
     if nights is None:
-        write_demo(folder, **options)
+        write_demo(folder, walk=walk, **options)
+    elif walk:
+        raise UsageError("--nights has no walk", remedy="leave out --nights or --walk")
     elif tuple(options.pop(name) for name in _DEFAULTS) != tuple(_DEFAULTS.values()):
         remedy = "leave out --scene, --light, --lenses and --surfaces"
         raise UsageError("--nights renders the yard, each night in its own light", remedy=remedy)
     else:
         write_demo(folder, nights=nights, frames=frames, **options)
-    echo(f"{folder / 'site.yaml'}: now try  wbflow run {folder / 'site.yaml'}")
+    command = f"wbflow run {folder / 'site.yaml'}"
+    if walk:
+        command = f"wbflow observe {folder / 'site.yaml'} {folder / 'walk' / 'night'}"
+    echo(f"{folder / 'site.yaml'}: now try  {command}")
 
 
 @click.command()

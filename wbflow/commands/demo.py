@@ -22,10 +22,10 @@ _FOLDER_REMEDY = "name a new or an empty folder"
 def write_demo(folder: Path, *, scene: str = "yard", nights: int | None = None, **options: Any) -> None:
     """Render a demo scene, or `nights` nights of the demo yard with their events; the same arguments write the same bytes.
 
-    scene: "yard", "square" or "carpark".  options: those of `wbflow_demo.scenes.render` (small, light, cameras, captures, seed,
-    lenses, surfaces), or of `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError if the folder
-    holds something other than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light, and for
-    no captures.
+    scene: "yard", "square" or "carpark".  options: of `wbflow_demo.files.demo_files` (small, light, cameras, captures, seed,
+    lenses, surfaces, walk) or `wbflow_demo.files.demo_nights` (frames, small, cameras, seed).  Raises UsageError if the
+    folder holds something other than a demo, or a demo whose site file or calibration was edited; for an unknown scene or light,
+    and for no captures.
     """
     existing = _existing_digests(folder)
     try:

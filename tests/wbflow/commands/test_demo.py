@@ -107,7 +107,7 @@ def test_files_of_an_earlier_demo_that_are_not_written_again_are_removed(tmp_pat
 def test_a_demo_that_was_interrupted_can_be_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wbflow_demo import files
 
-    def stops(site: DemoSite, scene: str, light: str, lenses: str) -> Iterator[tuple[str, bytes]]:
+    def stops(site: DemoSite, scene: str, light: str, lenses: str, has_poses: bool) -> Iterator[tuple[str, bytes]]:
         yield "captures/mast-2/2026-11-19_1.jpg", b"half"
         raise KeyboardInterrupt
 
@@ -159,3 +159,23 @@ def test_an_unknown_light_writes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(ValueError, match="noon"):
         write_demo(tmp_path / "demo", small=True, light="noon")
     assert not (tmp_path / "demo").exists()
+
+
+def test_a_walk_states_lenses_but_no_poses_and_adds_recordings_of_each_camera(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wbflow_demo.walk.SECONDS", 1)
+    write_demo(tmp_path / "yard", small=True, walk=True)
+    site = load_site(tmp_path / "yard")
+    assert not site.posed
+    assert all(camera.lens.K is not None for camera in site.cameras)
+    truth = json.loads((tmp_path / "yard" / "truth" / "walk.json").read_text())
+    for light in ("night", "day"):
+        videos = {file.stem for file in (tmp_path / "yard" / "walk" / light).iterdir()}
+        assert videos == {camera.id for camera in site.cameras} == truth[light]["clock_s"].keys()
+    assert all("R" in entry for entry in json.loads((tmp_path / "yard" / "truth" / "cameras.json").read_text()).values())
+
+
+def test_a_walk_leads_through_the_standard_yard_only(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="standard yard"):
+        write_demo(tmp_path / "square", scene="square", walk=True)
