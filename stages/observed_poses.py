@@ -108,8 +108,6 @@ def _result(
     state = adjusted.state
     similarity = frame.similarity
     spread = covariances(adjusted)
-    # the clock of the first camera of the observations that is placed is the common one
-    first = min(range(len(solved.names)), key=lambda k: observations.cameras.index(solved.names[k]))
     placements = {}
     figures = {}
     focal_scales = {}
@@ -119,7 +117,7 @@ def _result(
         placements[name] = Placement(state.R[k] @ similarity.R.T, C, sigma_m, sigma_deg, frame.metric)
         if name in solved.focal_solved:
             focal_scales[name] = float(np.exp(state.log_focal[k]) * solved.guessed_focal.get(name, 1.0))
-        figures[name] = _camera_figures(observations, solved, k, first, (sigma_m, sigma_deg), spread)
+        figures[name] = _camera_figures(observations, solved, k, (sigma_m, sigma_deg), spread)
     for name, reason in unplaced_reasons(shifted, lenses, solved).items():
         count = int((observations.camera == observations.cameras.index(name)).sum())
         figures[name] = ObservedCamera(observations=count, reason=reason)
@@ -128,7 +126,7 @@ def _result(
     halves_m, halves_deg = (None, None) if apart is None else (apart[0] * similarity.scale, apart[1])
     seen = used.sum(axis=0) >= 2
     return ObservedPoses(
-        placements={name: placements[name] for name in observations.cameras if name in placements},
+        placements=placements,
         focal_scales=focal_scales,
         track=similarity.points(state.X[seen]),
         cameras={name: figures[name] for name in observations.cameras if name in figures},
@@ -148,7 +146,6 @@ def _camera_figures(
     observations: Observations,
     solved: Solved,
     k: int,
-    first: int,
     sigmas: tuple[float, float],
     spread: Covariances,
 ) -> ObservedCamera:
@@ -156,7 +153,6 @@ def _camera_figures(
     adjusted = solved.adjusted
     name = solved.names[k]
     used = adjusted.used[k]
-    offset = adjusted.state.clocks[k].offset - adjusted.state.clocks[first].offset
     change = None
     if name in solved.focal_solved and name not in solved.guessed_focal:
         change = float(np.expm1(adjusted.state.log_focal[k]))
@@ -164,8 +160,8 @@ def _camera_figures(
         observations=int((observations.camera == observations.cameras.index(name)).sum()),
         used=_used_rows(adjusted, k, used, solved),
         reprojection_px=float(np.median(adjusted.residual.pixels[k][used])) if used.any() else None,
-        offset=offset,
-        offset_sigma=0.0 if k == first else spread.offset_sigma(k),
+        offset=float(adjusted.state.clocks[k].offset),
+        offset_sigma=spread.offset_sigma(k),
         sigma_m=sigmas[0],
         sigma_deg=sigmas[1],
         focal_change=change,

@@ -129,6 +129,15 @@ class Reason(StrEnum):
         "never-seen-together",
         "no two cameras see a thing at the same time, whatever their clocks: {moments:.0f} moments at most, {needed:.0f} needed",
     )
+    OBSERVED_ON_A_LINE = (
+        "observed-on-a-line",
+        "{lines:.0f} of {cameras:.0f} cameras see the thing on one straight line only, which determines no poses: move it up and "
+        "down, and to and fro",
+    )
+    OBSERVED_IN_A_PLANE = (
+        "observed-in-a-plane",
+        "the thing moves in a plane, so that two poses of the two cameras fit equally well: raise and lower it, or add a camera",
+    )
     OBSERVATIONS_DISAGREE = (
         "observations-disagree",
         "none of the {pairs:.0f} pairs of cameras has a pose that explains what both saw at once: wrong things, wrong lenses, or "

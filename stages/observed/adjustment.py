@@ -33,10 +33,13 @@ SIZE = 9
 OFFSET = 6
 DRIFT = 7
 FOCAL = 8
-ROBUST = 4.0
-"""Residuals of this many standard deviations have a quarter of the weight."""
+ROBUST = 7.0
+"""Residuals of this many standard deviations have a quarter of the weight.  The cost is convex up to 0.58 times this: with less,
+many a right pair of rays would be torn apart, one of them placing the thing alone."""
 USED = 5.0
 """Observations agree with the poses if their residual is below this many standard deviations."""
+_PICTURE_PX = 1000.0
+"""Size of the part of a picture where wrong observations lie, pixels."""
 LEAST_NOISE_PX = 0.05
 """Smallest standard deviation of an observation's coordinate, pixels."""
 MOST_NOISE_PX = 12.0
@@ -45,8 +48,10 @@ MOST_UNEQUAL = 3.0
 """A camera's noise is at most this many times that of all cameras, and at least its reciprocal."""
 _LOW = 0.25
 """Share of the smallest residuals that a first estimate of the noise relies on."""
-_MEDIAN_WITHIN_3 = 1.37
-"""Median of the sum of two squared standard normal variables, if it is at most 9."""
+_OF_PAIRS = (0.203, 0.84)
+"""Of twice the square of a standard normal variable: this quantile, and the median of the values up to 9."""
+_OF_MORE = (0.575, 1.37)
+"""The same of the sum of two squared standard normal variables."""
 _LEAST_REDUNDANCY = 0.02
 """Smallest redundancy: what is left of the error of an observation that alone places its thing is rounding."""
 _TELLING_REDUNDANCY = 0.1
@@ -208,7 +213,7 @@ def equations(residual: Residuals, weight: Float64s) -> Equations:
     g = (transposed @ residual.r[:, :, :, None]).sum(axis=0)[:, :, 0]
     # directions that a place's rays leave open stay as they are
     trace = np.einsum("mii->m", V)
-    inverse = np.linalg.inv(V + (1e-6 * trace + 1e-12)[:, None, None] * np.eye(3))
+    inverse = np.linalg.inv(V + (1e-10 * trace + 1e-15)[:, None, None] * np.eye(3))
     mixed = residual.by_camera.transpose(0, 1, 3, 2) @ wJx
     coupling = mixed.transpose(0, 2, 1, 3).reshape(cameras * SIZE, count, 3)
     reduced = (mixed @ inverse).transpose(0, 2, 1, 3).reshape(cameras * SIZE, -1)
@@ -261,8 +266,13 @@ class Adjusted:
 
     @property
     def score(self) -> float:
-        """How many observations agree, and how well: the larger, the better."""
-        return float(np.sum(1 - (self.deviation[self.used] / USED) ** 2))
+        """Logarithm of how much likelier the observations that agree are than places anywhere in a picture."""
+        used = self.used
+        ratio = np.linalg.norm(self.residual.r, axis=2)[used] / self.state.noise[np.nonzero(used)[0]]
+        # what is left of an observation's two coordinates once the place has adapted
+        coordinates = 2 * (ratio / np.maximum(self.deviation[used], 1e-12)) ** 2
+        sigma = (self.state.noise[:, None] * self.residual.sigma)[used]
+        return float(np.sum(coordinates * np.log(_PICTURE_PX / sigma) - 0.5 * ratio**2))
 
 
 def adjust(
@@ -332,23 +342,33 @@ def _noise(residual: Residuals, redundant: Float64s) -> Float64s:
     """(c,) noise of each camera, if half of its observations or more are right."""
     squared = (residual.r**2).sum(axis=2) / redundant
     says_something = residual.valid & (redundant > _TELLING_REDUNDANCY)
-    pooled = _noise_of(squared[says_something])
+    # of two rays to a place, only the distance between them is left as a residual; of more, both coordinates
+    is_pair = np.broadcast_to(residual.valid.sum(axis=0) == 2, says_something.shape)
+    pooled = _noise_of(squared, says_something, is_pair)
     if len(squared) == 2:
         # the residuals of two cameras don't say whose errors they are
         return np.full(2, pooled)
-    noise = [_noise_of(values[rows]) for values, rows in zip(squared, says_something, strict=True)]
+    noise = [_noise_of(*of_camera) for of_camera in zip(squared, says_something, is_pair, strict=True)]
     return np.clip(noise, pooled / MOST_UNEQUAL, pooled * MOST_UNEQUAL)
 
 
-def _noise_of(squared: Float64s) -> float:
-    """Standard deviation of a coordinate from squared lengths of residuals (n,), of which some are wrong."""
-    if not len(squared):
+def _noise_of(squared: Float64s, says_something: Bools, is_pair: Bools) -> float:
+    """Standard deviation of a coordinate from squared lengths of residuals, of which some are wrong."""
+    total = 0.0
+    count = 0
+    for rows, (low, within) in ((says_something & is_pair, _OF_PAIRS), (says_something & ~is_pair, _OF_MORE)):
+        values = squared[rows]
+        if not len(values):
+            continue
+        # a low quantile, which wrong observations hardly touch, then the median of those that agree with it
+        variance = np.quantile(values, _LOW) / low
+        for _ in range(3):
+            variance = np.median(values[values <= 9 * variance]) / within
+        total += float(variance) * len(values)
+        count += len(values)
+    if not count:
         return MOST_NOISE_PX
-    # a low quantile, which wrong observations hardly touch, then the median of those that agree with it
-    variance = np.quantile(squared, _LOW) / -2 / np.log(1 - _LOW)
-    for _ in range(3):
-        variance = np.median(squared[squared <= 9 * variance]) / _MEDIAN_WITHIN_3
-    return float(np.clip(np.sqrt(variance), LEAST_NOISE_PX, MOST_NOISE_PX))
+    return float(np.clip(np.sqrt(total / count), LEAST_NOISE_PX, MOST_NOISE_PX))
 
 
 def _minimised(

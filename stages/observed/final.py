@@ -13,6 +13,7 @@ from ..types import Bools, Float64s, Int64s, Lens
 from .adjustment import Adjusted, State, adjust
 from .growth import GrownModel, Limits, common_counts, grow
 from .hypotheses import LEAST_COMMON
+from .lines import sees_a_line
 from .tracks import Moments, Track, choose_moments, seen_by
 from .uncertainty import covariances
 
@@ -26,10 +27,12 @@ LEAST_DRIFT_S = 120.0
 """Drifts are solved if the recording lasts this long, seconds."""
 LENS_SIGMA = 0.05
 """Standard deviation of the logarithm of a stated focal length while lenses are checked."""
-LEAST_FOCAL_CHANGE = 0.01
+LEAST_FOCAL_CHANGE = 0.015
 """Smallest relative change of a stated focal length that is said and used."""
-FOCAL_DEVIATIONS = 4.0
+FOCAL_DEVIATIONS = 5.0
 """... if it is at least this many standard deviations."""
+LEAST_CHECKED = 3
+"""Fewest cameras that can check a lens: of two that see a thing in a plane, focal lengths are hardly determined, and biased."""
 BLOCKS = 20
 """Number of stretches into which the recording is cut for the two halves."""
 
@@ -77,6 +80,10 @@ def solve(
     if common.max() < LEAST_COMMON:
         return Rejected(Reason.NEVER_SEEN_TOGETHER, {"moments": float(common.max()), "needed": LEAST_COMMON})
 
+    lines = sum(sees_a_line(track) for track in every)
+    if len(every) - lines < 2:
+        return Rejected(Reason.OBSERVED_ON_A_LINE, {"lines": float(lines), "cameras": len(every)})
+
     # 1. A model of the cameras.
     limits = Limits(
         most_offset=max_offset_s * unit,
@@ -87,27 +94,59 @@ def solve(
     model = grow(every, still, limits, common, seed)
     if model is None:
         return Rejected(Reason.OBSERVATIONS_DISAGREE, {"pairs": float((np.triu(common) >= LEAST_COMMON).sum())})
+    if model.has_twin and len(model.cameras) == 2:
+        return Rejected(Reason.OBSERVED_IN_A_PLANE)
+    model = _in_order(model)
 
     # 2. All observations, with lenses free: which stated focal lengths are clearly off?
     chosen = [every[k] for k in model.cameras]
     placed = tuple(names[k] for k in model.cameras)
-    checked = _finally(chosen, still, model, replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA)))
-    spread = covariances(checked)
+    adjusted = model.adjusted
     off = []
-    for k in range(len(placed)):
-        change = abs(float(checked.state.log_focal[k]))
-        if change > max(LEAST_FOCAL_CHANGE, FOCAL_DEVIATIONS * spread.focal_sigma(k)):
-            off.append(k)
+    if len(placed) >= LEAST_CHECKED:
+        adjusted = _finally(chosen, still, model, replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA)))
+        off = _wrong_lenses(adjusted)
 
     # 3. And with the others as stated.
     sigmas = np.zeros(len(placed))
     sigmas[off] = np.inf
-    log_focal = np.where(sigmas > 0, checked.state.log_focal, 0.0)
-    state = replace(checked.state, log_focal=log_focal)
+    log_focal = np.where(sigmas > 0, adjusted.state.log_focal, 0.0)
+    start = replace(adjusted, state=replace(adjusted.state, log_focal=log_focal))
     final_limits = replace(limits, focal_sigmas=sigmas)
-    adjusted = _finally(chosen, still, GrownModel(model.cameras, replace(checked, state=state)), final_limits)
+    adjusted = _finally(chosen, still, replace(model, adjusted=start), final_limits)
     nearest = tuple(seen_by(t, c, adjusted.moments).nearest for t, c in zip(chosen, adjusted.state.clocks, strict=True))
     return Solved(placed, tracks, adjusted, final_limits, common, nearest, tuple(placed[k] for k in off))
+
+
+def _in_order(model: GrownModel) -> GrownModel:
+    """The model with its cameras in the order of the observations; the clock of the first is then the common one."""
+    state = model.adjusted.state
+    order = np.argsort(model.cameras)
+    first = state.clocks[order[0]]
+    clocks = []
+    for k in order:
+        clock = state.clocks[k]
+        clocks.append(replace(clock, offset=clock.offset - first.offset, drift=clock.drift - first.drift))
+    ordered = replace(
+        state,
+        R=state.R[order],
+        C=state.C[order],
+        clocks=tuple(clocks),
+        log_focal=state.log_focal[order],
+        noise=state.noise[order],
+    )
+    cameras = tuple(model.cameras[k] for k in order)
+    return replace(model, cameras=cameras, adjusted=replace(model.adjusted, state=ordered))
+
+
+def _wrong_lenses(adjusted: Adjusted) -> list[int]:
+    """The cameras whose focal length is clearly off."""
+    spread = covariances(adjusted)
+    off = []
+    for k, log_focal in enumerate(adjusted.state.log_focal):
+        if abs(log_focal) > max(LEAST_FOCAL_CHANGE, FOCAL_DEVIATIONS * spread.focal_sigma(k)):
+            off.append(k)
+    return off
 
 
 def _seconds(tracks: Sequence[Track], unit: float) -> float:

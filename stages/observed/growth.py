@@ -11,7 +11,7 @@ import numpy as np
 from ..core.rotations import angle_between_deg
 from ..types import Bools, Float64s
 from .adjustment import DRIFT, FOCAL, OFFSET, SIZE, Adjusted, Prior, State, adjust, triangulate
-from .hypotheses import LEAST_COMMON, Hypothesis, absolute_poses, relative_poses
+from .hypotheses import LEAST_COMMON, Hypothesis, absolute_poses, chance_share, relative_poses
 from .tracks import Clock, Track, choose_moments, seen_by
 
 MOST_SEEDS = 4
@@ -24,9 +24,13 @@ LEAST_ANGLE_DEG = 1.0
 """Smallest median angle between the rays of two cameras that begin a model."""
 LEAST_SHARE = 0.3
 """Smallest share of the moments at which a camera must agree with the others."""
-FOCAL_SIGMA = 0.02
-"""Standard deviation of the logarithm of a stated focal length while the model grows."""
-_ANNEALED = (10.0, 4.0, np.nan, np.nan, np.nan)
+BEYOND_CHANCE = 0.1
+"""Two cameras begin a model if they agree on this share of the moments more than two that see different things."""
+RIVAL_SHARE = 0.99
+"""A model whose score is this share of the best one's fits as well."""
+MOST_NOISE_PX = 6.0
+"""Cameras whose observations agree only within larger errors are not placed: wrong poses do that, too."""
+_ANNEALED = (5.0, 2.0, np.nan, np.nan)
 """Noise in the rounds of an adjustment that starts from a hypothesis; nan: estimated."""
 
 
@@ -57,8 +61,8 @@ class GrownModel:
     cameras: tuple[int, ...]
     """Numbers of the tracks, in the order of the states; the clock of the first is the common one."""
     adjusted: Adjusted
-    twin: bool = False
-    """Another pose of the first two fits as well, since the thing moved in a plane, and no third camera decides."""
+    has_twin: bool = False
+    """Other poses of the same cameras fit as well: two cameras that see a thing in a plane have two relative poses."""
 
 
 def common_counts(tracks: Sequence[Track], still: Bools, most_offset: float) -> Float64s:
@@ -99,7 +103,18 @@ def grow(tracks: Sequence[Track], still: Bools, limits: Limits, common: Float64s
             break
         if number + 1 >= MOST_SEEDS and models:
             break
-    return max(models, key=_quality) if models else None
+    if not models:
+        return None
+    best = max(models, key=_quality)
+    rivals = [other for other in models if _is_rival(other, best)]
+    return replace(best, has_twin=bool(rivals))
+
+
+def _is_rival(model: GrownModel, best: GrownModel) -> bool:
+    """Does another model of the same cameras, with other poses, fit as well?"""
+    if set(model.cameras[:2]) != set(best.cameras[:2]) or len(model.cameras) != len(best.cameras):
+        return False
+    return model.adjusted.score > RIVAL_SHARE * best.adjusted.score and not _same(model, best)
 
 
 def _quality(model: GrownModel) -> tuple[int, float]:
@@ -116,6 +131,10 @@ def _seeds(
     hypotheses = relative_poses(first, second, clock, moments, limits.most_offset, rng)
     if not hypotheses:
         return []
+    best = hypotheses[0]
+    by_chance = chance_share(first, second, clock, moments, best.offset, rng)
+    if best.score / best.count < by_chance + BEYOND_CHANCE:
+        return []
 
     # The best hypotheses are adjusted; those that end at the same pose count once.
     found: list[GrownModel] = []
@@ -130,7 +149,9 @@ def _seeds(
             noise=np.ones(2),
         )
         model = _adjusted(tracks, still, limits, pair, state)
-        if model is not None and _is_tied(model) and not any(_same(model, other) for other in found):
+        if model is None or not _is_tied(model):
+            continue
+        if not any(_same(model, other) for other in found):
             found.append(model)
     found.sort(key=lambda model: -model.adjusted.score)
     return [model for model in found if model.adjusted.score > 0.8 * found[0].adjusted.score][:3]
@@ -189,6 +210,8 @@ def _is_tied(model: GrownModel) -> bool:
     valid = adjusted.residual.valid[-1] & (adjusted.residual.valid[:-1].any(axis=0))
     used = adjusted.used[-1] & (adjusted.used[:-1].any(axis=0))
     if used.sum() < LEAST_COMMON or used.sum() < LEAST_SHARE * valid.sum():
+        return False
+    if np.median(adjusted.state.noise[-1] * adjusted.residual.sigma[-1][used]) > MOST_NOISE_PX:
         return False
     return float(np.median(ray_angles_deg(adjusted, len(adjusted.state.C) - 1)[used])) > LEAST_ANGLE_DEG
 

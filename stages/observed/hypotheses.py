@@ -39,6 +39,8 @@ MOST_FINE = 3
 """Most offsets of the coarse grid about which a fine one is laid."""
 LEAST_FINE = 0.6
 """... if their score is this share of the best one's, or more."""
+_CHANCES = 12
+"""Parts of the recording by which a clock is shifted to see what pairs reach by chance."""
 _KEPT = 3
 """Best hypotheses kept at each offset."""
 _OPPOSITE = np.pi
@@ -112,24 +114,48 @@ def relative_poses(
     """
     rays = seen_by(first, Clock(), moments).ray
     angle = max(pixel_angle(first), pixel_angle(second))
+    return _coarse_to_fine(second, clock, moments, rays, most_offset, rng, (5, poselib.relpose_5pt, _epipolar_errors, angle))
 
-    def test(rays1: Float64s, rays2: Float64s, R: Float64s, t: Float64s) -> Float64s:
-        # sines of the angles between rays and the planes through the other ray and the baseline
-        E = np.cross(t[:, None, :], R.transpose(0, 2, 1)).transpose(0, 2, 1)
-        lines2 = np.einsum("hij,mj->hmi", E, rays1)
-        lines1 = np.einsum("hij,mi->hmj", E, rays2)
-        product = np.einsum("hmi,mi->hm", lines2, rays2)
-        norm = np.minimum(np.linalg.norm(lines1, axis=2), np.linalg.norm(lines2, axis=2))
-        # in front of both: depths along both rays are positive
-        turned = np.einsum("hij,mj->hmi", R, rays1)
-        cosine = np.einsum("hmi,mi->hm", turned, rays2)
-        a = np.einsum("hi,hmi->hm", t, turned)
-        b = np.einsum("hi,mi->hm", t, rays2)
-        behind = (b * cosine - a < -1e-3) | (b - a * cosine < -1e-3)
-        error = np.abs(product) / np.maximum(norm, 1e-12)
-        return np.where(behind, _OPPOSITE, error)
 
-    return _coarse_to_fine(second, clock, moments, rays, most_offset, rng, (5, poselib.relpose_5pt, test, angle))
+def _epipolar_errors(rays1: Float64s, rays2: Float64s, R: Float64s, t: Float64s) -> Float64s:
+    """(h, m) radians between rays and the planes through the other ray and the baseline; large behind a camera."""
+    # the sines of the angles
+    E = np.cross(t[:, None, :], R.transpose(0, 2, 1)).transpose(0, 2, 1)
+    lines2 = np.einsum("hij,mj->hmi", E, rays1)
+    lines1 = np.einsum("hij,mi->hmj", E, rays2)
+    product = np.einsum("hmi,mi->hm", lines2, rays2)
+    norm = np.minimum(np.linalg.norm(lines1, axis=2), np.linalg.norm(lines2, axis=2))
+    # in front of both: depths along both rays are positive
+    turned = np.einsum("hij,mj->hmi", R, rays1)
+    cosine = np.einsum("hmi,mi->hm", turned, rays2)
+    a = np.einsum("hi,hmi->hm", t, turned)
+    b = np.einsum("hi,mi->hm", t, rays2)
+    behind = (b * cosine - a < -1e-3) | (b - a * cosine < -1e-3)
+    error = np.abs(product) / np.maximum(norm, 1e-12)
+    return np.where(behind, _OPPOSITE, error)
+
+
+def chance_share(first: Track, second: Track, clock: Clock, moments: Moments, offset: float, rng: np.random.Generator) -> float:
+    """Score, as a share of the tested observations, that pairs reach if the second camera saw something else at the time.
+
+    The second clock is shifted by parts of the recording, so that both cameras' tracks stay as they are, but not their relation.
+
+    Parameters
+    ----------
+    first, second, clock, moments, rng : as in `relative_poses`.
+    offset : the one that is to be believed.
+    """
+    if moments.is_still.all():
+        return 0.0
+    length = float(np.ptp(second.time))
+    shifts = length * np.arange(1, _CHANCES) / _CHANCES
+    # each shift in the direction in which more is left
+    shifts = np.where(shifts > length / 2, shifts - length, shifts)
+    rays = seen_by(first, Clock(), moments).ray
+    angle = max(pixel_angle(first), pixel_angle(second))
+    grid = (offset - clock.offset + shifts, FINE_PX)
+    found = _search(second, clock, moments, rays, grid, rng, (5, poselib.relpose_5pt, _epipolar_errors, angle))
+    return max((hypothesis.score / hypothesis.count for hypothesis in found), default=0.0)
 
 
 def absolute_poses(

@@ -16,8 +16,10 @@ JUMP = 6.0
 """A step is a jump if it is this many times as fast as the steps around it: the track goes on with another thing."""
 LEAST_JUMP_PX = 10.0
 """Steps of fewer pixels are no jumps: a thing that stands still moves by the noise alone."""
-_NEIGHBOURS = 9
+_NEIGHBOURS = 15
 """Number of steps over which the usual speed is taken."""
+_SLOW = 0.25
+"""Quantile of the speeds that is usual: of three observations one may be wrong, which spoils two steps of three."""
 _OUTWARD = 2
 """Observations farther out, on each side, between which the velocity is taken."""
 _ANGLE = 1e-5
@@ -175,10 +177,13 @@ def _jumps(ray: Float64s, pixels_of: Float64s, steps: Float64s, same: Bools) -> 
     if not len(speed):
         return np.zeros(0, dtype=bool)
     around = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
-    # windows without any speed have no median; their steps are no part of a track
+    # windows without any speed have no usual one; their steps are no part of a track
     usual = np.full(len(speed), np.inf)
     has_speed = np.isfinite(around).any(axis=1)
-    usual[has_speed] = np.nanmedian(around[has_speed], axis=1)
+    usual[has_speed] = np.nanquantile(around[has_speed], _SLOW, axis=1)
+    # a thing that starts to move is faster than before, but not than elsewhere
+    if has_speed.any():
+        usual = np.maximum(usual, 0.5 * np.nanquantile(speed, _SLOW))
     return np.asarray((speed > JUMP * usual) & (pixels > LEAST_JUMP_PX))
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed_scenes import ObservedScene, Recording, camera_ring, plain_lens, record
+from observed_scenes import ObservedScene, Recording, camera_ring, plain_lens, record, walk
 
+from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.core.rotations import Similarity, angle_between_deg, nearest_rotation
 from wbflow_stages.observed_poses import solve_observations
 from wbflow_stages.types import Bools, Float64s, Observations, ObservedPoses, Placement, Rejected, ThingSurvey
@@ -174,6 +175,64 @@ def test_cameras_that_never_see_the_thing_at_once_are_said() -> None:
     o = scene.observations
     apart = without(o, ((o.camera == 0) & (o.time > 20)) | ((o.camera == 1) & (o.time < 40)))
     assert rejected(apart, scene).startswith("no two cameras see a thing at the same time")
+
+
+def test_a_thing_on_a_line_is_said() -> None:
+    scene = make_scene(0, cameras=3, seconds=40)
+    path = np.column_stack([np.linspace(-5, 5, 1000), np.linspace(2, -3, 1000), np.linspace(1, 3, 1000)])
+    on_line = seen_along(path, scene)
+    assert rejected(on_line, scene).startswith("3 of 3 cameras see the thing on one straight line only")
+
+
+def test_cameras_that_follow_different_things_are_not_placed() -> None:
+    scene = make_scene(0, cameras=2, seconds=60, path="walk")
+    other = make_scene(7, cameras=2, seconds=60, path="walk")
+    o = scene.observations
+    p = other.observations
+    ours = without(o, o.camera == 1)
+    theirs = without(p, p.camera == 0)
+    mixed = Observations(
+        o.cameras,
+        o.things,
+        np.concatenate([ours.camera, theirs.camera]),
+        np.concatenate([ours.thing, theirs.thing]),
+        np.concatenate([ours.time, theirs.time]),
+        np.concatenate([ours.xy, theirs.xy]),
+        np.concatenate([ours.sigma_px, theirs.sigma_px]),
+    )
+    assert rejected(mixed, scene).startswith("none of the 1 pairs of cameras has a pose")
+
+
+def test_a_flat_track_before_three_cameras_is_enough() -> None:
+    scene = make_scene(0, cameras=3, seconds=40)
+    flat = walk(np.arange(1500) / 25, 15, np.random.default_rng(1))
+    flat[:, 2] = 1.5
+    result = solve_observations(seen_along(flat, scene), scene.lenses, {})
+    assert isinstance(result, ObservedPoses)
+    distances, angles = errors(result, scene, to_truth(result, scene))
+    assert len(distances) == 3
+    assert distances.max() < 0.1
+    assert angles.max() < 0.5
+
+
+def seen_along(path: Float64s, scene: ObservedScene) -> Observations:
+    """What the cameras of a scene see of a thing on a path (n, 3), 25 times a second, with noise of a pixel."""
+    rng = np.random.default_rng(0)
+    xy = []
+    for name, truth in scene.truth.items():
+        assert truth.R is not None and truth.C is not None
+        xy.append(lens_pixels(scene.lenses[name], (path - truth.C) @ truth.R.T))
+    count = len(path)
+    cameras = len(scene.truth)
+    return Observations(
+        tuple(scene.truth),
+        ("lamp",),
+        np.repeat(np.arange(cameras, dtype=np.int32), count),
+        np.zeros(cameras * count, np.int32),
+        np.tile(np.arange(count) / 25, cameras),
+        np.concatenate(xy) + rng.normal(size=(cameras * count, 2)),
+        np.full(cameras * count, np.nan),
+    )
 
 
 def test_results_are_the_same_every_time() -> None:
