@@ -114,7 +114,9 @@ def _result(
     for k, name in enumerate(solved.names):
         C = similarity.points(state.C[k][None])[0]
         sigma_m, sigma_deg = _sigmas(spread, frame, k, C, state.R[k])
-        placements[name] = Placement(state.R[k] @ similarity.R.T, C, sigma_m, sigma_deg, frame.metric)
+        # the errors of the frame move all cameras alike: as evidence for each other, they are known better
+        alone_m, alone_deg = _sigmas(spread, replace(frame, covariance=np.zeros((7, 7))), k, C, state.R[k])
+        placements[name] = Placement(state.R[k] @ similarity.R.T, C, alone_m, alone_deg, frame.metric)
         if name in solved.focal_solved:
             focal_scales[name] = float(np.exp(state.log_focal[k]) * solved.guessed_focal.get(name, 1.0))
         figures[name] = _camera_figures(observations, solved, k, (sigma_m, sigma_deg), spread)

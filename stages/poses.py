@@ -106,7 +106,7 @@ def solve_poses(
         return places.with_sources(check_survey(_as_stated(views, placements, stated, survey), views, placements, survey))
 
     # 1. Compare the stated poses with the images.
-    known = _compared_with_images(stated, placements, geometries, frames_if_rough or {})
+    known = _compared_with_images(stated, placements, places.credible(geometries), frames_if_rough or {})
     is_metric = all(placements[name].metric for name in known.cameras)
     rejected = without_baseline(views, known.cameras, geometries, min_angle_deg, is_metric)
     if rejected is not None:

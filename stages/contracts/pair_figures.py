@@ -18,6 +18,8 @@ class PairsFigures(Record):
     pairs: tuple[tuple[str, str], ...] = ()
     crowded: Mapping[str, str] = field(default_factory=dict)
     """Notes by camera."""
+    angles: Mapping[str, float] = field(default_factory=dict)
+    """By kept pair, as `left--right`: degrees between the two views, where poses tell it."""
 
 
 @dataclass(frozen=True)

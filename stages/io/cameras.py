@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from ..contracts.observation_figures import ObservedCamera
 from ..core.cameras import camera_id
 from ..types import Camera, Lens, ObservedPoses, Placement, Poses
 
@@ -34,7 +35,12 @@ def observed_calibration_file(observed: ObservedPoses, lenses: Mapping[str, Lens
     for name, placement in observed.placements.items():
         lens = lenses.get(name, Lens())
         if lens.K is not None and placement.R is not None and placement.C is not None:
-            entries[name] = _observed_entry(lens, placement, observed.focal_scales.get(name, 1.0), observed.metric)
+            entry = _observed_entry(lens, placement, observed.focal_scales.get(name, 1.0), observed.metric)
+            # in the world: the frame's own errors, which the placements leave out, belong to that
+            figures = observed.cameras.get(name, ObservedCamera())
+            entry["position_sigma_m"] = figures.sigma_m or placement.sigma_m
+            entry["rotation_sigma_deg"] = figures.sigma_deg or placement.sigma_deg
+            entries[name] = entry
     return json.dumps(entries).encode()
 
 
@@ -44,7 +50,6 @@ def _observed_entry(lens: Lens, placement: Placement, focal_scale: float, metric
     K[:2, :2] *= focal_scale
     entry: dict[str, Any] = {"K": K.tolist(), "R": placement.R.tolist(), "C": placement.C.tolist()}
     entry |= {"width": lens.width, "height": lens.height, "model": lens.model, "distortion": list(map(float, lens.distortion))}
-    entry |= {"position_sigma_m": placement.sigma_m, "rotation_sigma_deg": placement.sigma_deg}
     if not metric:
         entry["metric"] = False
     return entry

@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from ..core.cameras import camera_id
-from ..types import ObservedPoses, Placement, Poses, View
+from ..types import Geometry, ObservedPoses, Pair, Placement, Poses, View
+
+LEAST_PROBABILITY = 0.98
+"""Smallest probability of a pair that may contradict or correct two observed poses: their cameras have rarely (1 of 50) been
+moved since."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +28,23 @@ class KnownPlaces:
     scale: str = ""
     """Source of the scale of observed placements."""
 
+    def credible(self, geometries: Mapping[Pair, Geometry]) -> dict[Pair, Geometry]:
+        """The pairs, of which those of two observed cameras count as improbable unless they are very probable.
+
+        Hundreds of moments of a thing place such cameras, so that they have hardly ever another pose than the observed one, and
+        then because they were moved since: a few matches that say so are look-alikes.
+        """
+        credible = dict(geometries)
+        for pair, geometry in geometries.items():
+            if self.observed.issuperset(pair) and geometry.good_probability < LEAST_PROBABILITY:
+                credible[pair] = replace(geometry, good_probability=0.0)
+        return credible
+
     def with_sources(self, poses: Poses) -> Poses:
         """The poses, with sources and reasons that tell observed placements from stated ones."""
         sources = dict(poses.sources)
         for name in self.observed & poses.cameras.keys():
-            if sources.get(name, "stated") == "stated":
+            if sources.get(name, "stated") in {"stated", "refined"}:
                 sources[name] = "observed"
         unsolved = dict(poses.unsolved)
         for name in self.reasons.keys() & poses.unsolved.keys():

@@ -45,7 +45,8 @@ class ObservedPoses(ObservedFigures):
     """Poses from observations, with standard deviations, as evidence for `poses.solve_poses`."""
 
     placements: Mapping[str, Placement]
-    """Of the cameras that were placed, by id."""
+    """Of the cameras that were placed, by id; standard deviations are those against each other, without what the survey leaves
+    uncertain about all of them together (`cameras` has both)."""
     focal_scales: Mapping[str, float] = field(default_factory=dict)
     """Factor of the stated focal length of each camera whose lens was solved, too."""
     track: Float64s = field(default_factory=lambda: np.zeros((0, 3)))

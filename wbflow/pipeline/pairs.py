@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wbflow_stages.contracts.defaults import PAIR_DEGREE, PAIR_MAX_ANGLE_DEG, PAIR_MIN_ANGLE_DEG
+from wbflow_stages.contracts.pair_figures import PairsFigures
 
 from ..task import camera_of
 
@@ -93,6 +94,15 @@ class PairGraph:
     """Number of dropped pairs that are not among the edges."""
     crowded: Mapping[str, str] = field(default_factory=dict)
     """By view with `MOST_PAIRS_PER_VIEW` pairs: a note that names candidates which were left out."""
+
+    @property
+    def figures(self) -> PairsFigures:
+        """What the engine reports of it."""
+        angles = {}
+        for edge in self.edges:
+            if edge.kept and not math.isnan(edge.angle_deg):
+                angles[f"{edge.left}--{edge.right}"] = round(edge.angle_deg, 1)
+        return PairsFigures(self.pairs, self.crowded, angles)
 
 
 def select_pairs(

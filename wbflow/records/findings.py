@@ -212,9 +212,9 @@ FINDINGS: Mapping[str, FindingType] = {
         ),
         FindingType(
             "poses-uncertain",
-            "Stated poses are not exact enough for dense matching, and tonight's pictures could not improve them.",
+            "Known poses are not exact enough for dense matching, and tonight's pictures could not improve them.",
             "measure these poses more exactly, leave them out to have them solved, or add a camera that sees the same things",
-            "stated poses of {cameras} are not exact enough, and tonight's pictures could not improve them: correct matches may "
+            "known poses of {cameras} are not exact enough, and tonight's pictures could not improve them: correct matches may "
             "be up to {row_px:.1f} px off the row that is searched, so depths may come from wrong matches",
         ),
         FindingType(

@@ -27,6 +27,8 @@ _FEW_MATCHES = {
     Reason.UNCERTAIN_ROWS,
 }
 """Reasons of rejected pairs that more matches may remove."""
+_WIDE_DEG = 30.0
+"""If the views of all pairs of a camera are further apart, that is why few or none of them can be used."""
 _OF_ITS_TASK = {Cause.TOO_SLOW, Cause.WORKER_LOST, Cause.OUT_OF_MEMORY}
 """Causes that lie in a task, not in the camera."""
 
@@ -158,10 +160,24 @@ def _pairs_finding(camera: CameraRecord, record: RunRecord) -> Finding | None:
     remedy = FINDINGS["camera-no-usable-pair"].remedy
     if any(pair.figures.known == "stated" for pair in tried):
         remedy += "; or its pose is not the one in the site file: measure it again, or leave it out to have it solved"
-    reason = f"{count_text} be used: {most_common_reason(tried)}"
+    apart = _far_apart(tried)
+    if apart:
+        remedy = f"views more than {_WIDE_DEG:.0f} degrees apart often show nothing alike: add a camera in between; or {remedy}"
+    reason = f"{count_text} be used{apart}: {most_common_reason(tried)}"
     usable = {str(Measure.PAIRS): 0}
     planned = {str(Measure.PAIRS): len(tried)}
     return finding("camera-no-usable-pair", subject, usable, planned, remedy, reason=reason)
+
+
+def _far_apart(pairs: Sequence[PairRecord]) -> str:
+    """How far apart the views of pairs are, as text; "" if those of some are near each other, or nothing is known of it."""
+    angles = []
+    for pair in pairs:
+        if pair.figures.angle_deg is not None:
+            angles.append(pair.figures.angle_deg)
+    if not angles or min(angles) <= _WIDE_DEG:
+        return ""
+    return f" (views {min(angles):.0f} to {max(angles):.0f} degrees apart)"
 
 
 def _tried(camera: str, record: RunRecord) -> list[PairRecord]:

@@ -116,6 +116,8 @@ class _SiteWide:
     """By camera: a note on pairs that the pair graph left out."""
     dense: frozenset[tuple[str, str]]
     """Pairs for dense matching, if these are chosen separately."""
+    angles: Mapping[str, float]
+    """Degrees between the views of pairs, as the poses tell it, by `left--right`."""
 
     @staticmethod
     def from_plan(ended: EndedNight) -> _SiteWide:
@@ -138,6 +140,7 @@ class _SiteWide:
             misfits,
             crowded={**pairs.crowded, **dense.crowded},
             dense=frozenset(_usable_pairs(ended, DENSE_PAIRS)),
+            angles={**pairs.angles, **dense.angles},
         )
 
 
@@ -195,6 +198,7 @@ def _pair_record(ended: EndedNight, pair: tuple[str, str], site_wide: _SiteWide)
             outcome = success  # the poses alone sufficed for dense matching
         elif not state.usable and (outcome is success or state.outcome != "skipped"):
             outcome = {"outcome": state.outcome, "reason": state.reason, "code": state.code, "stage": stage.name}
+    figures.setdefault("angle_deg", site_wide.angles.get("--".join(pair)))  # without matches that tell it
     check = site_wide.poses.pair_checks.get("--".join(pair))
     if check:
         figures |= {"poses_px": check.adjusted_px, "known": check.known}

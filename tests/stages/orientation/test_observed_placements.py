@@ -11,7 +11,7 @@ from wbflow_stages.contracts.observation_figures import ObservedCamera
 from wbflow_stages.orientation.observed_placements import with_observed
 from wbflow_stages.overlap import estimate_overlap
 from wbflow_stages.poses import solve_poses
-from wbflow_stages.types import Lens, ObservedPoses, Placement, Poses, Rejected, View
+from wbflow_stages.types import Geometry, Lens, ObservedPoses, Placement, Poses, Rejected, View
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 VIEW = View(640, 480, K)
@@ -77,3 +77,33 @@ def test_a_lens_that_was_solved_with_the_poses_is_known() -> None:
 
 def test_without_observations_nothing_changes() -> None:
     assert isinstance(solve_poses(views("gate", "roof"), {}, {}), Rejected)
+
+
+def contradicting(probability: float) -> Geometry:
+    """Forty matches on rows that the observed poses contradict, with a probability of being right."""
+    rng = np.random.default_rng(1)
+    x1 = rng.uniform([0, 0], [640, 480], (40, 2))
+    x2 = x1 + np.array([0, 25.0])
+    F = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    rows = np.arange(40, dtype=np.int32)
+    certain = np.ones(40, np.float32)
+    along = np.array([1.0, 0, 0])
+    score = float(np.log(probability / (1 - probability)))
+    return Geometry(F, x1, x2, rows, rows, certain, VIEW, VIEW, np.eye(3), along, 40, 40, "E", 0.2, 20.0, 0.1, score, probability)
+
+
+@pytest.mark.parametrize(("probability", "is_doubted"), [(0.8, False), (0.999, True)])
+def test_only_a_very_probable_pair_contradicts_two_observed_poses(probability: float, is_doubted: bool) -> None:
+    pair = contradicting(probability)
+    poses = solve_poses(views("gate", "roof"), {}, {("gate", "roof"): pair}, observed=observed(gate=0, roof=3))
+    assert isinstance(poses, Poses)
+    assert bool(poses.issues) == is_doubted
+    # the pair itself is left out in both cases
+    assert not poses.pair_checks["gate--roof"].kept
+
+
+def test_improbable_pairs_do_not_move_observed_cameras() -> None:
+    pair = contradicting(0.8)
+    poses = solve_poses(views("gate", "roof"), {}, {("gate", "roof"): pair}, observed=observed(gate=0, roof=3))
+    assert isinstance(poses, Poses)
+    assert [camera.C.tolist() for camera in poses.cameras.values()] == [[0, 0, 5], [3, 0, 5]]

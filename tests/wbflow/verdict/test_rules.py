@@ -353,6 +353,15 @@ def test_the_remedy_for_a_camera_without_a_pair_doubts_only_a_stated_pose(known:
     assert ("its pose is not the one in the site file" in finding.remedy) is (known == "stated")
 
 
+@pytest.mark.parametrize(("angle", "is_wide"), [(20.0, False), (48.0, True), (None, False)])
+def test_a_camera_whose_views_are_all_far_apart_says_so(angle: float | None, is_wide: bool) -> None:
+    figures = PairFigures(angle_deg=angle)
+    tried = [replace(p, outcome="rejected", figures=figures) if "roof" in p.cameras else p for p in EVERY_PAIR]
+    finding = next(f for f in verdict_of(night(pairs=tried)).findings if f.kind == "camera-no-usable-pair")
+    assert ("(views 48 to 48 degrees apart)" in finding.text) is is_wide
+    assert ("add a camera in between" in finding.remedy) is is_wide
+
+
 @pytest.mark.parametrize(
     ("code", "sift_alone", "is_proposed"),
     [("too-few-inliers", True, True), ("too-few-inliers", False, False), ("pure-rotation", True, False)],
