@@ -18,6 +18,7 @@ import numpy as np
 
 from ..io.image_headers import is_image, is_video, jpeg_offset
 from ..types import Capture, Lens, Uint8s
+from . import matroska
 from .decoding import Decoded, decoded_frames
 from .files import BadCapture, EmptyCapture, NotAnImage, decode
 from .levels import Levels
@@ -32,6 +33,8 @@ MOST_FRAMES = 100_000
 
 _TRANSPORT_FORMAT = "mpegts"
 """FFmpeg's name of MPEG transport streams."""
+_MATROSKA_FORMAT = "matroska,webm"
+"""FFmpeg's name of Matroska files."""
 _BARE_FORMATS = frozenset({"h264", "hevc", "m4v", "mpegvideo"})
 """FFmpeg's names of videos without a container, in which a lost beginning is not noticed."""
 _START_CODES = (b"\0\0\1", b"\0\0\0\1")
@@ -102,6 +105,8 @@ def _decoded(container: Any, capture: Capture) -> Iterator[Decoded]:
     """The frames of an opened file, with all that the file's bytes tell about damage."""
     if container.format.name == _TRANSPORT_FORMAT:
         return decoded_frames(container, lost_places=damaged_places(capture.data, container.streams.video[0].id))
+    if container.format.name == _MATROSKA_FORMAT:
+        return decoded_frames(container, lost_places=matroska.damaged_places(capture.data))
     is_bare = container.format.name in _BARE_FORMATS
     begins_whole = not is_bare or capture.data[:8].tobytes().startswith(_START_CODES)
     return decoded_frames(container, begins_whole)
