@@ -41,6 +41,8 @@ _BAD_PX = 1.0
 """Residuals in pixels: up to the first a corner is drawn green, from the second on red."""
 _WARNING_PX = 1.0
 """RMS residual in pixels above which the report warns: the lens is of another model, or the board is not flat."""
+_MOST_RMS = 0.01
+"""RMS residual, as a share of the picture's longer side, above which there is no result: numbers of corners were mixed up."""
 _LEAST_COVERED = 0.4
 """Share of the cells with corners below which the report warns."""
 
@@ -85,6 +87,11 @@ def board_files(
     K, distortion, residuals = _fit(seen, size, model)
     squares = [(r**2).sum(axis=1) for r in residuals]
     rms_px = [float(np.sqrt(r.mean())) for r in squares]
+    overall = float(np.sqrt(np.mean(np.concatenate(squares))))
+    if overall > _MOST_RMS * max(size):
+        as_found = "; ".join(differences(stated, printed)) or "it was found as stated"
+        what = f"no {model} lens shows such a board like this: {overall:.0f} px rms ({as_found})"
+        raise ValueError(f"{what}; are columns and rows right, and the pictures not mirrored, or is the lens of another --model?")
     covered = _covered_share(seen, size)
     entry = {
         "K": K.tolist(),
@@ -95,7 +102,6 @@ def board_files(
         "residuals_px": {name: round(value, 4) for name, value in zip(views, rms_px, strict=True)},
         "covered": round(covered, 3),
     }
-    overall = float(np.sqrt(np.mean(np.concatenate(squares))))
     messages = [f"{len(views)} pictures, {overall:.2f} px rms, corners in {100 * covered:.0f} % of the picture's cells", *notes]
     if covered < _LEAST_COVERED:
         messages.append("the lens is known only where corners were: hold the board in every part of the picture, near and far")

@@ -117,6 +117,18 @@ def test_a_board_of_more_markers_than_its_dictionary_has_is_found(tmp_path: Path
     assert "of the dictionary 4X4_1000, not 4X4_50" in output
 
 
+@pytest.mark.parametrize(("stated", "is_mirrored"), [("9x6", False), ("8x6", True)])
+def test_a_board_whose_corners_are_mixed_up_gives_no_lens(tmp_path: Path, stated: str, is_mirrored: bool) -> None:
+    """Stated with another size, or in mirrored pictures: a wrong lens must not be written."""
+    texture = charuco(8, 6)
+    if is_mirrored:
+        texture = np.ascontiguousarray(texture[:, ::-1])
+    with pytest.raises(AssertionError, match=r"px rms|is seen in") as caught:
+        calibrated(tmp_path, texture, "--board", stated, "--marker", "0.022")
+    assert "columns and rows right" in str(caught.value)
+    assert not (tmp_path / "gate.json").exists()
+
+
 def test_a_checkerboard_counted_by_its_squares_is_found_and_said(tmp_path: Path) -> None:
     lens, output = calibrated(tmp_path, CHECKERS, "--board", "10x7")
     assert_is_the_lens(lens)
