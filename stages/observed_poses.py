@@ -66,6 +66,7 @@ def solve_observations(
     shifted = replace(observations, time=observations.time - origin)
     survey = None if thing_survey is None else _for_things(thing_survey, observations.things, origin)
 
+    lenses = {name: _with_intrinsics(lens) for name, lens in lenses.items()}
     tracks = make_tracks(shifted, lenses)
     still = np.zeros(len(observations.things), dtype=bool)
     still[observations.thing[~moving]] = True
@@ -74,6 +75,17 @@ def solve_observations(
         return solved
     frame = find_frame(solved.names, solved.adjusted, placements, survey, max_offset_s * unit)
     return _result(observations, shifted, lenses, solved, frame)
+
+
+def _with_intrinsics(lens: Lens) -> Lens:
+    """The lens with K of its horizontal field of view, if only that is stated; `hfov_deg` then stays as a mark of it."""
+    if lens.K is not None:
+        return replace(lens, hfov_deg=None)
+    if lens.hfov_deg is None or not lens.width:
+        return lens
+    focal = 0.5 * lens.width / np.tan(np.deg2rad(lens.hfov_deg) / 2)
+    K = np.array([[focal, 0, 0.5 * lens.width - 0.5], [0, focal, 0.5 * lens.height - 0.5], [0, 0, 1]])
+    return replace(lens, K=K)
 
 
 def _for_things(survey: ThingSurvey, things: tuple[str, ...], origin: float) -> ThingSurvey:
@@ -118,7 +130,7 @@ def _result(
         alone_m, alone_deg = _sigmas(spread, replace(frame, covariance=np.zeros((7, 7))), k, C, state.R[k])
         placements[name] = Placement(state.R[k] @ similarity.R.T, C, alone_m, alone_deg, frame.metric)
         if name in solved.focal_solved:
-            focal_scales[name] = float(np.exp(state.log_focal[k]) * solved.guessed_focal.get(name, 1.0))
+            focal_scales[name] = float(np.exp(state.log_focal[k]))
         figures[name] = _camera_figures(observations, solved, k, (sigma_m, sigma_deg), spread)
     for name, reason in unplaced_reasons(shifted, lenses, solved).items():
         count = int((observations.camera == observations.cameras.index(name)).sum())
@@ -156,7 +168,7 @@ def _camera_figures(
     name = solved.names[k]
     used = adjusted.used[k]
     change = None
-    if name in solved.focal_solved and name not in solved.guessed_focal:
+    if name in solved.focal_solved and name not in solved.of_hfov:
         change = float(np.expm1(adjusted.state.log_focal[k]))
     return ObservedCamera(
         observations=int((observations.camera == observations.cameras.index(name)).sum()),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,10 @@ DRIFT_SIGMA = 1e-4
 """Standard deviation of a clock's drift, seconds a second."""
 LEAST_DRIFT_S = 120.0
 """Drifts are solved if the recording lasts this long, seconds."""
+STATED_SIGMA = 0.02
+"""Standard deviation of the logarithm of a stated focal length while the model grows."""
+HFOV_SIGMA = 0.1
+"""The same of a focal length of which only the field of view is stated."""
 LENS_SIGMA = 0.05
 """Standard deviation of the logarithm of a stated focal length while lenses are checked."""
 LEAST_FOCAL_CHANGE = 0.015
@@ -54,8 +58,8 @@ class Solved:
     """(m,) for each camera the observation nearest to each moment."""
     focal_solved: tuple[str, ...] = ()
     """Cameras whose focal length was solved."""
-    guessed_focal: Mapping[str, float] = field(default_factory=dict)
-    """Cameras whose focal length was not stated."""
+    of_hfov: tuple[str, ...] = ()
+    """Cameras of which only a field of view is stated: their focal length is solved in any case."""
 
 
 def solve(
@@ -89,7 +93,7 @@ def solve(
         most_offset=max_offset_s * unit,
         offset_sigma=OFFSET_SIGMA_S * unit,
         drift_sigma=DRIFT_SIGMA if _seconds(every, unit) > LEAST_DRIFT_S else 0.0,
-        focal_sigmas=np.full(len(names), 0.02),
+        focal_sigmas=np.array([STATED_SIGMA if lenses[name].hfov_deg is None else HFOV_SIGMA for name in names]),
     )
     model = grow(every, still, limits, common, seed)
     if model is None:
@@ -105,17 +109,20 @@ def solve(
     off = []
     if len(placed) >= LEAST_CHECKED:
         adjusted = _finally(chosen, still, model, replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA)))
-        off = _wrong_lenses(adjusted)
+        off = [k for k in _wrong_lenses(adjusted) if lenses[placed[k]].hfov_deg is None]
 
     # 3. And with the others as stated.
+    guessed = [k for k, name in enumerate(placed) if lenses[name].hfov_deg is not None]
     sigmas = np.zeros(len(placed))
     sigmas[off] = np.inf
+    sigmas[guessed] = HFOV_SIGMA
     log_focal = np.where(sigmas > 0, adjusted.state.log_focal, 0.0)
     start = replace(adjusted, state=replace(adjusted.state, log_focal=log_focal))
     final_limits = replace(limits, focal_sigmas=sigmas)
     adjusted = _finally(chosen, still, replace(model, adjusted=start), final_limits)
+    solved_lenses = tuple(placed[k] for k in sorted({*off, *guessed}))
     nearest = tuple(seen_by(t, c, adjusted.moments).nearest for t, c in zip(chosen, adjusted.state.clocks, strict=True))
-    return Solved(placed, tracks, adjusted, final_limits, common, nearest, tuple(placed[k] for k in off))
+    return Solved(placed, tracks, adjusted, final_limits, common, nearest, solved_lenses, tuple(placed[k] for k in guessed))
 
 
 def _in_order(model: GrownModel) -> GrownModel:

@@ -11,7 +11,7 @@ from observed_scenes import ObservedScene, Recording, camera_ring, plain_lens, r
 from wbflow_stages.core.lenses import lens_pixels
 from wbflow_stages.core.rotations import Similarity, angle_between_deg, nearest_rotation
 from wbflow_stages.observed_poses import solve_observations
-from wbflow_stages.types import Bools, Float64s, Observations, ObservedPoses, Placement, Rejected, ThingSurvey
+from wbflow_stages.types import Bools, Float64s, Lens, Observations, ObservedPoses, Placement, Rejected, ThingSurvey
 
 
 def make_scene(seed: int, cameras: int = 4, path: str = "flight", spread_deg: float = 120, **recorded: float) -> ObservedScene:
@@ -137,6 +137,17 @@ def test_a_focal_length_that_is_off_is_said() -> None:
     assert [name for name, change in changes.items() if change is not None] == ["cam2"]
     assert changes["cam2"] == pytest.approx(1 / 1.03 - 1, abs=0.003)
     assert any("cam2: its focal length" in note for note in result.notes)
+
+
+def test_a_focal_length_of_which_the_field_of_view_is_stated_is_solved() -> None:
+    scene = make_scene(4)
+    # the true field of view is 82 degrees
+    wide = Lens(hfov_deg=78.0, width=1920, height=1080, distortion=scene.lenses["cam1"].distortion)
+    result = solved(replace(scene, lenses={**scene.lenses, "cam1": wide}))
+    stated_focal = 960 / np.tan(np.deg2rad(39))
+    assert list(result.focal_scales) == ["cam1"]
+    assert result.focal_scales["cam1"] * stated_focal == pytest.approx(1100, rel=0.005)
+    assert result.cameras["cam1"].focal_change is None
 
 
 def without(observations: Observations, rows: Bools) -> Observations:
