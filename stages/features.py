@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .contracts.reasons import Reason, Rejected
 from .core.methods import bind
-from .types import TILTED, Capture, Features, Frame
+from .types import LEARNED, PLAIN, Capture, Features, Frame
 
 DETECTORS = {
     "sift": "wbflow_stages.matching.sift:detect_sift",
@@ -29,12 +31,12 @@ def detect(
         content, not its path, decides whether keypoints are detected again.
     detector : "sift": SIFT in the frame and in the frame compressed by 2 in x; "onnx": a learned detector, which takes `model`;
         "sift+onnx": both, for views far apart; or a function of your own, `package.module:function`.
-    min_keypoints : reject the frame if it has fewer, without those of the compressed view.
+    min_keypoints : reject the frame if it has fewer, without those of the compressed view and of the turned picture.
     options : parameters of the detector, see its function.
     """
     inputs = {"frame": frame, "model": model}
     features: Features = bind(DETECTORS, detector, inputs, options, Features)()
-    count = int((features.tilts != TILTED).sum())
+    count = int(np.isin(features.tilts, (PLAIN, LEARNED)).sum())
     if count < min_keypoints:
         figures = {"keypoints": count, "needed": min_keypoints, "usable_share": float(frame.mask.mean())}
         return Rejected(Reason.TOO_FEW_KEYPOINTS, figures)

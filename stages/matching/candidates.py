@@ -15,6 +15,7 @@ from ..core.ordering import by_cell
 from ..types import LEARNED, PLAIN, TILTED, Features, Float32s, Float64s, Int32s, Int64s, Matches
 from .affine_field import AffineField
 from .neighbours import LEAST_DISTANCE_PX, Neighbours, nearest_neighbours
+from .turns import matching_turns
 
 NEIGHBOURS = 7
 """Candidates that each keypoint proposes, by default.  More find a few more matches where a scene repeats, and cost time."""
@@ -89,7 +90,7 @@ def view_pairs(
     pairs: list[ViewPair | None] = list(known)
     if not known:
         pairs.append(_view_pair(left, right, PLAIN, PLAIN, neighbours))
-        pairs.append(_view_pair(left, right, LEARNED, LEARNED, neighbours))
+        pairs.append(_view_pair(left, right, *matching_turns(left, right), neighbours))
     # not tilted with tilted: both frames compressed in x differ as the plain ones do
     if tilted:
         pairs.append(_view_pair(left, right, TILTED, PLAIN, neighbours))
@@ -121,7 +122,7 @@ def _view_pair(left: Features, right: Features, view1: int, view2: int, neighbou
         x2=right.xy[rows2],
         frames1=left.frames[rows1],
         inverse_frames2=inverses(right.frames[rows2]),
-        has_frames=view1 != LEARNED and view2 != LEARNED,
+        has_frames=max(view1, view2) < LEARNED,
         candidates=_candidates(left.descriptors[rows1], right.descriptors[rows2], neighbours),
     )
 

@@ -10,7 +10,7 @@ Lighter Keypoint and Descriptor Extraction Network via Deformable Transformation
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -23,6 +23,7 @@ from .neighbours import nearest_lookalike
 from .onnx_model import input_shapes, interface_of, onnx_session, run
 from .sift import detect_sift
 from .spread import Spread
+from .turns import QUARTER_TURNS, turned_axes, turned_back
 
 _INPUTS = ("image", "max_keypoints", "min_score")
 _OUTPUTS = ("keypoints", "descriptors", "scores")
@@ -49,6 +50,7 @@ def detect_onnx(
     crowding: float = CROWDING,
     long_side_px: int = 1600,
     tile_px: int = 1024,
+    turned: bool = False,
 ) -> Features:
     """Detect and describe keypoints by an ONNX model of one image.
 
@@ -66,47 +68,68 @@ def detect_onnx(
     long_side_px : long side to which larger frames are scaled, pixels.
     tile_px : frames larger than this are searched in tiles of at most this side, since the network takes about 2 kB for each
         pixel that it sees at a time (ONNX Runtime: 1.4 kB in the first frame, more from the second one on).
+    turned : search the frame on its sides and upside down, too, for sites with cameras that are mounted so.  Features take four
+        times as long; each pair is matched in the turns in which most of its strongest keypoints agree.
     """
     session = onnx_session(model)
     shapes = _checked_interface(model.name, session)
-
-    # 1. the frame in the size in which it is searched
+    spread = Spread(max_keypoints, grid_columns, crowding)
     h, w = frame.image.shape[:2]
     scale = min(long_side_px / max(h, w), 1.0)
-    size = (max(round(w * scale), 1), max(round(h * scale), 1))
-    image = frame.image if scale == 1 else np.asarray(cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    parts = []
+    for turn in range(QUARTER_TURNS if turned else 1):
+        # 1. the frame as it is searched: its turn and size
+        image = np.ascontiguousarray(np.rot90(frame.image, turn))
+        size = (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1))
+        stretch = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
+        if scale < 1:
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
-    # 2. the keypoints of all tiles
-    found = []
-    for tile in _tiles(size[0], size[1], tile_px):
-        share = tile.core_area / (size[0] * size[1])
-        wanted = int(np.ceil(_SURPLUS * crowding * max_keypoints * share))
-        found.append(_search(model.name, session, shapes, image, tile, wanted, min_score))
-    xy = np.concatenate([part.xy for part in found])
-    descriptors = np.concatenate([part.descriptors for part in found])
-    scores = np.concatenate([part.scores for part in found])
+        # 2. the keypoints of all tiles
+        found = _search_tiles(model.name, session, shapes, image, tile_px, _SURPLUS * crowding * max_keypoints, min_score)
 
-    # 3. the best of them in pixels of the frame, spread over the image; pixel centres are at integers
-    xy = (xy + 0.5) * [w / size[0], h / size[1]] - 0.5
-    usable = _usable(xy, frame.mask) & _is_strongest_near(xy, scores)
-    kept = Spread(max_keypoints, grid_columns, crowding).rows(xy, scores, usable, (h, w))
-    xy = xy[kept]
-    descriptors = np.ascontiguousarray(descriptors[kept])
-    count = len(kept)
-    return Features(
-        xy=xy,
-        frames=np.tile(np.eye(2) * _NOMINAL_SIZE_PX / scale, (count, 1, 1)),
-        descriptors=descriptors,
-        responses=scores[kept],
-        tilts=np.full(count, LEARNED, np.uint8),
-        view=frame.view,
-        lookalikes=nearest_lookalike(descriptors, xy, count),
-        plain_keypoints=count,
+        # 3. the best of them in pixels of the frame, spread over it; pixel centres are at integers
+        xy = turned_back((found.xy + 0.5) * stretch - 0.5, turn, (w, h))
+        usable = _usable(xy, frame.mask) & _is_strongest_near(xy, found.scores)
+        kept = spread.rows(xy, found.scores, usable, (h, w))
+        xy = xy[kept]
+        descriptors = np.ascontiguousarray(found.descriptors[kept])
+        count = len(kept)
+        part = Features(
+            xy=xy,
+            frames=np.tile(turned_axes(turn) * _NOMINAL_SIZE_PX / scale, (count, 1, 1)),
+            descriptors=descriptors,
+            responses=found.scores[kept],
+            tilts=np.full(count, LEARNED + turn, np.uint8),
+            view=frame.view,
+            lookalikes=nearest_lookalike(descriptors, xy, count),
+            plain_keypoints=count,
+        )
+        parts.append(part)
+    return _joined(parts)
+
+
+def _joined(parts: list[Features]) -> Features:
+    """Keypoints of one frame that were found in several searches, one after the other."""
+    return replace(
+        parts[0],
+        xy=np.concatenate([part.xy for part in parts]),
+        frames=np.concatenate([part.frames for part in parts]),
+        descriptors=np.concatenate([part.descriptors for part in parts]),
+        responses=np.concatenate([part.responses for part in parts]),
+        tilts=np.concatenate([part.tilts for part in parts]),
+        lookalikes=np.concatenate([part.lookalikes for part in parts]),
+        plain_keypoints=sum(part.plain_keypoints for part in parts),
     )
 
 
 def detect_both(
-    frame: Frame, model: Capture, *, max_keypoints: int = MAX_KEYPOINTS, tilted_keypoints: int = TILTED_KEYPOINTS
+    frame: Frame,
+    model: Capture,
+    *,
+    max_keypoints: int = MAX_KEYPOINTS,
+    tilted_keypoints: int = TILTED_KEYPOINTS,
+    turned: bool = False,
 ) -> Features:
     """SIFT keypoints and those of a model together; each kind is matched with its own.
 
@@ -116,9 +139,10 @@ def detect_both(
     model : the ONNX file, as of `detect_onnx`.
     max_keypoints : most keypoints of each kind.
     tilted_keypoints : most SIFT keypoints kept in the view compressed by 2 in x.
+    turned : let the model search the frame on its sides and upside down, too, as of `detect_onnx`.
     """
     sift = detect_sift(frame, max_keypoints=max_keypoints, tilted_keypoints=tilted_keypoints)
-    learned = detect_onnx(frame, model, max_keypoints=max_keypoints)
+    learned = detect_onnx(frame, model, max_keypoints=max_keypoints, turned=turned)
     # descriptors of the longer kind decide the length; zeros change no distance
     length = max(sift.descriptors.shape[1], learned.descriptors.shape[1])
     descriptors = np.concatenate([_lengthened(sift.descriptors, length), _lengthened(learned.descriptors, length)])
@@ -203,6 +227,22 @@ class _Found:
     """(n, 2) pixels of the image."""
     descriptors: Float32s
     scores: Float32s
+
+
+def _search_tiles(
+    name: str, session: Any, shapes: dict[str, tuple[int, ...]], image: Uint8s, tile_px: int, wanted: float, min_score: float
+) -> _Found:
+    """The keypoints of all tiles of an image (h, w, 3), about `wanted` of them, shared out by the tiles' areas."""
+    h, w = image.shape[:2]
+    parts = []
+    for tile in _tiles(w, h, tile_px):
+        share = tile.core_area / (w * h)
+        parts.append(_search(name, session, shapes, image, tile, int(np.ceil(wanted * share)), min_score))
+    return _Found(
+        np.concatenate([part.xy for part in parts]),
+        np.concatenate([part.descriptors for part in parts]),
+        np.concatenate([part.scores for part in parts]),
+    )
 
 
 def _search(

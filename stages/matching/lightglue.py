@@ -23,6 +23,7 @@ from .description import DIRECTIONS
 from .matcher import keypoint_matches
 from .onnx_model import input_shapes, interface_of, onnx_session, run
 from .spread import Spread
+from .turns import matching_turns, turned
 
 _INPUTS = ("kpts0", "kpts1", "desc0", "desc1", "image_size0", "image_size1")
 _FRAME_INPUTS = ("scales0", "scales1", "oris0", "oris1")
@@ -54,9 +55,10 @@ def match_lightglue(
     shapes = _checked_interface(model.name, session)
     takes_sift = _FRAME_INPUTS[0] in shapes
 
-    # 1. the keypoints of its kind
-    rows1 = _strongest(left, takes_sift, max_keypoints)
-    rows2 = _strongest(right, takes_sift, max_keypoints)
+    # 1. the keypoints of its kind; learned ones in the turns of the pictures that fit
+    kind1, kind2 = (PLAIN, PLAIN) if takes_sift else matching_turns(left, right)
+    rows1 = _strongest(left, kind1, max_keypoints)
+    rows2 = _strongest(right, kind2, max_keypoints)
     if not (len(rows1) or len(rows2)) and len(left.xy) and len(right.xy):
         raise ValueError(f"{model.name} {_wanted_keypoints(takes_sift)}")
     if not (len(rows1) and len(rows2)):
@@ -101,9 +103,8 @@ def _wanted_keypoints(takes_sift: bool) -> str:
     return "matches keypoints of a learned detector, and the cameras have SIFT's: say features: {detector: onnx, model: FILE}"
 
 
-def _strongest(features: Features, takes_sift: bool, quota: int) -> Int32s:
-    """Rows of the keypoints that a model gets, strongest first."""
-    kind = PLAIN if takes_sift else LEARNED
+def _strongest(features: Features, kind: int, quota: int) -> Int32s:
+    """Rows of the keypoints that a model gets, by the value of `Features.tilts`, strongest first."""
     size = (features.view.height, features.view.width)
     spread = Spread(quota, GRID_COLUMNS, CROWDING)
     return spread.rows(features.xy, features.responses, features.tilts == kind, size).astype(np.int32)
@@ -117,14 +118,19 @@ def _length(descriptors: Float32s) -> int:
 
 def _inputs_of(features: Features, rows: Int32s, length: int, takes_sift: bool, side: str) -> dict[str, Float32s]:
     """The inputs of one picture, "0" or "1", with descriptors of this length."""
-    view = features.view
+    size = (features.view.width, features.view.height)
+    xy = features.xy[rows]
+    turn = max(int(features.tilts[rows[0]]) - LEARNED, 0)
+    if turn:
+        xy = turned(xy, turn, size)
+        size = size if turn == 2 else size[::-1]
     descriptors = features.descriptors[rows, :length]
     if takes_sift:
         descriptors = _in_lowes_order(descriptors)
     inputs = {
-        f"kpts{side}": _single(features.xy[rows]),
+        f"kpts{side}": _single(xy),
         f"desc{side}": _single(descriptors),
-        f"image_size{side}": np.array([[view.width, view.height]], np.float32),
+        f"image_size{side}": np.array([size], np.float32),
     }
     if takes_sift:
         # frames are s R(angle): the first column holds both

@@ -18,7 +18,7 @@ def match_affines(left: Features, right: Features, i1: Int32s, i2: Int32s) -> Fl
     i1, i2 : (n,) int32 rows of the matches in `left` and `right`.
     """
     affine = np.asarray(right.frames[i2] @ np.linalg.inv(left.frames[i1]), dtype=np.float64)
-    is_learned = left.tilts[i1] == LEARNED
+    is_learned = left.tilts[i1] >= LEARNED
     if is_learned.any():
         affine[is_learned] = local_consensus(left.xy[i1[is_learned]], right.xy[i2[is_learned]])[0]
     return affine

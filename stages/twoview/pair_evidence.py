@@ -11,7 +11,7 @@ from ..matching.affine_field import fit_affine_field
 from ..matching.candidates import ViewPair, rival_distances
 from ..matching.local_affines import match_affines
 from ..matching.neighbours import nearest_lookalike
-from ..types import Features, Float32s, Float64s, Int32s, Matches, View
+from ..types import LEARNED, Features, Float32s, Float64s, Int32s, Matches, View
 from .image_grid import covered_cells
 from .pair_score import PairEvidence
 from .rival_search import find_rival
@@ -61,6 +61,7 @@ def pair_evidence(
         stretch=_stretch(x1, x2, match_affines(left, right, i1, i2)),
         angle_deg=ray_angle_deg(x1, x2, left.view, right.view, found.R),
         rival=None if found.R is None else find_rival(left, right, pairs, i1, i2, found, seed),
+        has_frames=float((left.tilts[i1] >= LEARNED).mean()) <= 0.5,
     )
 
 
@@ -123,14 +124,16 @@ def _distinct_cells(x1: Float64s, x2: Float64s, view1: View, view2: View) -> int
 
 
 def _agreement(pairs: tuple[ViewPair, ...], F: Float64s) -> float:
-    """Share of the clear matches of the plain views that lie on their epipolar lines; shrunk toward 0 if they are few."""
+    """Share of the clear matches of the plain views and of learned keypoints that lie on their epipolar lines; shrunk toward 0 if
+    they are few."""
     if not pairs:
         return 0.0
-    plain = pairs[0]
-    i, j, ratio = plain.candidates.near.mutual()
-    is_clear = ratio < CLEAR_RATIO
-    distance = symmetric_epipolar_distance(F, plain.x1[i[is_clear]], plain.x2[j[is_clear]])
-    return _share_near(distance)
+    distances = []
+    for pair in (pairs[0], *(other for other in pairs[1:] if not other.has_frames)):
+        i, j, ratio = pair.candidates.near.mutual()
+        is_clear = ratio < CLEAR_RATIO
+        distances.append(symmetric_epipolar_distance(F, pair.x1[i[is_clear]], pair.x2[j[is_clear]]))
+    return _share_near(np.concatenate(distances))
 
 
 def _share_near(distance: Float64s) -> float:

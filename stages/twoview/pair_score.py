@@ -26,6 +26,13 @@ WEIGHTS = (0.89, 0.90, 3.37, 1.20, 2.91, 3.68, -0.27, -1.15)
 """Weights of the `terms`, fitted by `scripts/bench_verdict.py` on 299 pairs of 13 sets, photographed and rendered, most with
 look-alikes.  Each scene has the same weight, and the fit is drawn toward the weights of an earlier one (walls and a courtyard).
 Exact copies of a building count as right, since no single pair can distinguish them."""
+LEAST_LEARNED_AGREEMENT = 0.35
+"""Least agreement of a pair of learned keypoints that is believed."""
+UNCONFIRMED = -1.0
+"""Highest score of such a pair below that: rather wrong than right, until the site decides.  No frames of learned keypoints
+contradict wrong matches along epipolar lines, and guided matching makes hundreds of them: of six wrong pairs of the fountain and
+turned pictures, with up to 321 inliers and scores up to 4.1, the agreement is 0.03 to 0.25, of right ones up to 101 degrees apart
+(fountain, desk, rolex) 0.48 to 0.93."""
 OFFSET = -15.3
 """Score of a pair whose terms are all zero, fitted together with `WEIGHTS`."""
 
@@ -44,6 +51,8 @@ class PairEvidence:
     """Median angle between the rays of the inliers, nan without a pose."""
     rival: RivalPose | None = None
     """The best competing pose; None if none was searched for, without a pose or without keypoints."""
+    has_frames: bool = True
+    """False: most inliers are learned keypoints, which have neither scale nor orientation."""
 
 
 def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
@@ -66,6 +75,8 @@ def pair_score(evidence: PairEvidence, contradicted: bool = False) -> float:
     else:
         # without K there is no pose, so neither half rotations nor rivals
         score = 0.9 * cells + 12.0 * e.distinct_share + 5.5 * e.agreement + 3.0 * stretch + 0.6 * inliers - 6.5
+    if not e.has_frames and e.agreement < LEAST_LEARNED_AGREEMENT:
+        score = min(score, UNCONFIRMED)
     is_ambiguous = e.rival is not None and e.rival.ambiguous(e.inliers)
     if contradicted or is_ambiguous:
         return min(score, 0.0)

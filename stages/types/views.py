@@ -136,7 +136,7 @@ class Features(Record):
     responses: Float32s
     """(n,) detector responses."""
     tilts: Uint8s
-    """(n,) `PLAIN`, `TILTED` for the view compressed by 2 in x, or `LEARNED`."""
+    """(n,) `PLAIN`, `TILTED` for the view compressed by 2 in x, or `LEARNED` plus the quarter turns of the picture."""
     view: View
     lookalikes: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
     """(p,) distance of each keypoint to the most similar descriptor of its kind at least 6 px away: how distinctive it is in its
@@ -158,4 +158,5 @@ PLAIN = 0
 TILTED = 1
 """The frame compressed by 2 in x."""
 LEARNED = 2
-"""Keypoints of a network in the frame as it is.  They have neither scale nor orientation: their frames are a nominal size."""
+"""Keypoints of a network in the frame as it is; 3, 4, 5: in the frame turned anticlockwise by one, two, three quarter turns.
+They have neither scale nor orientation: their frames are a nominal size and that turn."""

@@ -14,6 +14,7 @@ from tests.helpers.small_aliked import as_capture, untrained_weights
 from wbflow_stages.features import detect
 from wbflow_stages.matches import match
 from wbflow_stages.matching.local_consensus import local_consensus
+from wbflow_stages.matching.turns import matching_turns, turned, turned_axes, turned_back
 from wbflow_stages.types import LEARNED, PLAIN, TILTED, Capture, Features, Frame, Matches, Rejected, View
 
 aliked_onnx = pytest.importorskip("aliked_onnx", reason="the script needs the package onnx")
@@ -108,6 +109,28 @@ def test_both_kinds_together_are_matched_each_with_its_own(model: Capture) -> No
     assert np.array_equal(left == LEARNED, right == LEARNED) and (left == LEARNED).any() and (left != LEARNED).any()
     # upside down, only SIFT keypoints have an orientation that follows
     assert isinstance(match(features[0], features[2]), Matches)
+
+
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_a_picture_on_its_side_matches_an_upright_one_if_turned_ones_are_searched(model: Capture, turn: int) -> None:
+    image = picture()
+    on_its_side = np.ascontiguousarray(np.rot90(image, -turn))
+    left = found(frame_of(image), model, turned=True, max_keypoints=400)
+    right = found(frame_of(on_its_side), model, turned=True, max_keypoints=400)
+    assert set(left.tilts) == {LEARNED, LEARNED + 1, LEARNED + 2, LEARNED + 3} and len(left.lookalikes) == len(left.xy)
+    matches = match(left, right)
+    assert isinstance(matches, Matches) and matches.i1 is not None and matches.i2 is not None and matches.affine is not None
+    # the same places of the picture, and the map of the turn
+    size = (right.view.width, right.view.height)
+    off = np.linalg.norm(turned(matches.x2, turn, size) - matches.x1, axis=1)
+    assert len(off) > 300 and np.median(off) < 0.1
+    np.testing.assert_allclose(turned_back(turned(matches.x2, turn, size), turn, size), matches.x2)
+    np.testing.assert_allclose(np.median(matches.affine, axis=0), turned_axes(turn), atol=0.02)
+
+
+def test_without_turned_pictures_each_pair_is_matched_as_it_is(model: Capture) -> None:
+    left = found(frame_of(picture()), model)
+    assert matching_turns(left, left) == (LEARNED, LEARNED) and set(left.tilts) == {LEARNED}
 
 
 def made_up(xy: np.ndarray, descriptors: np.ndarray) -> Features:

@@ -6,6 +6,7 @@ LightGlue itself is measured by `scripts/bench_matching.py`, from weights that a
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,27 @@ def test_matches_of_low_score_are_dropped() -> None:
     left, right = two_views()
     matches, _, _ = matched(left, right, two_keypoint_sets("x"), min_score=0.5)
     assert 0 < len(matches.x1) < 400 and (matches.x1[:, 0] >= WIDTH / 2).all()
+
+
+def test_the_model_gets_keypoints_of_a_turned_picture_in_that_picture() -> None:
+    upright, other = two_views()
+    # the left camera lies on its side: its network saw the picture turned by one quarter
+    turned_view = replace(upright.view, width=HEIGHT, height=WIDTH)
+    sideways = replace(
+        upright, xy=np.column_stack([HEIGHT - 1 - upright.xy[:, 1], upright.xy[:, 0]]), tilts=upright.tilts + 1, view=turned_view
+    )
+    decoys = replace(learned(sideways.xy, np.random.default_rng(9).normal(size=(400, 64))), view=turned_view)
+    both = replace(
+        sideways,
+        xy=np.concatenate([decoys.xy, sideways.xy]),
+        frames=np.concatenate([decoys.frames, sideways.frames]),
+        descriptors=np.concatenate([decoys.descriptors, sideways.descriptors]),
+        responses=np.ones(800, np.float32),
+        tilts=np.concatenate([decoys.tilts, sideways.tilts]),
+    )
+    matches, i1, i2 = matched(both, other, two_keypoint_sets("x"))
+    assert len(i1) == 400 and (i1 - 400 + i2 == 399).all()
+    np.testing.assert_allclose(matches.probability, np.clip(upright.xy[i1 - 400, 0] / WIDTH, 0, 1), atol=1e-6)
 
 
 @pytest.mark.parametrize("score", ["scale", "angle", "element"])
