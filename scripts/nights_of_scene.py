@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Renders nights of the square or the car park, on which things come and go:  scripts/nights_of_scene.py square DIR [--small]
+"""Renders nights of a scene on which things come and go:  scripts/nights_of_scene.py square|carpark|market|harbour DIR [--small]
 
 Like `wbflow demo --nights`, which renders the yard, but no camera has a fault: benches of changes judge on these scenes what was
 fitted on the yard.  The same arguments give the same bytes.
@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from scenes import harbour, market
 
 from wbflow_demo import carpark, square
 from wbflow_demo.files import json_bytes, scene_files
@@ -74,6 +76,34 @@ PLACES = {
             "stack": (Stay(3, 6, (-9.0, 7.3), 0.2), Stay(8, FOREVER, (-9.0, 7.3), 0.2)),
             "container": (Stay(4, FOREVER, (-6.0, -9.3), 0.05),),
             "vehicle": (Stay(5, FOREVER, (8.0, -9.5), 0.1),),
+        },
+    ),
+    "market": Place(
+        market.static_market,
+        market.viewpoints,
+        market.LAMPS,
+        (((-9.0, 5.3), (9.0, 5.4)), ((-9.0, -5.6), (9.0, -5.7)), ((-12.0, -10.6), (12.0, -9.8)), ((-12.5, 10.8), (11.0, 11.2))),
+        (14.0, 0.0145, 0.05),
+        38.0,
+        {
+            "crate": (Stay(1, 4, (-5.5, 1.5), 0.4),),
+            "stack": (Stay(3, 6, (5.0, -2.0), 0.2), Stay(8, FOREVER, (5.0, -2.0), 0.2)),
+            "container": (Stay(4, FOREVER, (0.5, 3.6), 0.0),),
+            "vehicle": (Stay(5, FOREVER, (1.5, -4.2), 0.1),),
+        },
+    ),
+    "harbour": Place(
+        harbour.static_harbour,
+        harbour.viewpoints,
+        harbour.LAMPS,
+        (((-18.0, 5.5), (18.0, 5.4)), ((-9.0, -17.0), (10.0, -18.0))),
+        (18.0, 0.0145, 0.06),
+        44.0,
+        {
+            "crate": (Stay(1, 4, (-12.5, -1.5), 0.4),),
+            "stack": (Stay(3, 6, (10.0, -0.5), 0.2), Stay(8, FOREVER, (10.0, -0.5), 0.2)),
+            "container": (Stay(4, FOREVER, (-3.8, 2.0), 0.1),),
+            "vehicle": (Stay(5, FOREVER, (11.0, 3.0), 0.05),),
         },
     ),
 }
