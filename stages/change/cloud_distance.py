@@ -277,3 +277,35 @@ def _mean_normals(queries: Float64s, index: PointIndex, normals: Float64s, radiu
             out[q, 0] = nx / length
             out[q, 1] = ny / length
             out[q, 2] = nz / length
+
+
+def count_near(queries: Float64s, index: PointIndex, radius: float) -> Int64s:
+    """(m,) number of the index's points within a radius of each query (m, 3)."""
+    counts = np.zeros(len(queries), np.int64)
+    _count_near(queries, index, radius, counts)
+    return counts
+
+
+@kernel
+def _count_near(queries: Float64s, index: PointIndex, radius: float, counts: Int64s) -> None:
+    points = index.points
+    shape = index.shape
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
+    for q in range(len(queries)):
+        for a in range(3):
+            first[a], last[a] = _cells_within(queries[q, a], radius, index.low[a], index.edge, shape[a])
+        if last[2] < first[2]:
+            continue
+        count = 0
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                # The points of a column's cells are contiguous.
+                column = (i * shape[1] + j) * shape[2]
+                for k in range(index.starts[column + first[2]], index.starts[column + last[2] + 1]):
+                    dx = points[k, 0] - queries[q, 0]
+                    dy = points[k, 1] - queries[q, 1]
+                    dz = points[k, 2] - queries[q, 2]
+                    if dx * dx + dy * dy + dz * dz <= radius * radius:
+                        count += 1
+        counts[q] = count

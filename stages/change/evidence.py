@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..core.cameras import project
 from ..types import Bools, Camera, Cloud, DepthMap, Float32s, Float64s, Frame, Int64s
-from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, index_points, mean_normals, one_of_each_cell
+from .cloud_distance import CONFIDENCE, MeasuredCloud, cloud_distances, count_near, index_points, mean_normals, one_of_each_cell
 from .free_space import Sight, look_at
 from .ncc import ncc
 
@@ -257,9 +256,10 @@ def _with_neighbours(core: Float64s, changed: Bools, spacing: float) -> Bools:
     if not changed.any():
         return changed
     queries = core[changed]
+    radius = _NEAR * spacing
     # Each point is its own neighbour, hence "> 3".
-    n_near = cKDTree(core).query_ball_point(queries, _NEAR * spacing, return_length=True)
-    n_changed = cKDTree(queries).query_ball_point(queries, _NEAR * spacing, return_length=True)
+    n_near = count_near(queries, index_points(core, radius), radius)
+    n_changed = count_near(queries, index_points(queries, radius), radius)
     supported = changed.copy()
     supported[changed] = (2 * n_changed >= n_near) & (n_near > 3)
     return supported
