@@ -24,12 +24,13 @@ import numpy as np
 from .contracts.observation_figures import ObservedCamera
 from .contracts.reasons import Reason, Rejected
 from .observed.adjustment import Adjusted
+from .observed.distances import scaled_by_distances
 from .observed.final import Solved, halves, solve
 from .observed.frame import WorldFrame, find_frame
 from .observed.notes import advice, unplaced_reasons
 from .observed.tracks import make_tracks
 from .observed.uncertainty import Covariances, covariances
-from .types import Bools, Float64s, Lens, Observations, ObservedPoses, Placement, ThingSurvey
+from .types import Bools, Float64s, Lens, Observations, ObservedPoses, Placement, Survey, ThingSurvey
 
 FRAMES_PER_SECOND = 25.0
 """Frame rate that is assumed where observations count frames."""
@@ -40,6 +41,7 @@ def solve_observations(
     lenses: Mapping[str, Lens],
     placements: Mapping[str, Placement],
     thing_survey: ThingSurvey | None = None,
+    survey: Survey | None = None,
     *,
     max_offset_s: float = 5.0,
     seed: int = 0,
@@ -54,6 +56,7 @@ def solve_observations(
     lenses : of the pictures as captured, by camera.
     placements : stated poses by camera; positions of two cameras or more give the frame.
     thing_survey : known places of the things, or lengths between them.
+    survey : distances between cameras, which give the scale if nothing else does.
     max_offset_s : clocks of cameras may differ by this much, seconds; observations that count frames: at 25 frames a second.
     seed : of the random samples.
     """
@@ -64,7 +67,7 @@ def solve_observations(
     moving = np.isfinite(observations.time)
     origin = float(np.median(observations.time[moving])) if moving.any() else 0.0
     shifted = replace(observations, time=observations.time - origin)
-    survey = None if thing_survey is None else _for_things(thing_survey, observations.things, origin)
+    surveyed = None if thing_survey is None else _for_things(thing_survey, observations.things, origin)
 
     lenses = {name: _with_intrinsics(lens) for name, lens in lenses.items()}
     tracks = make_tracks(shifted, lenses)
@@ -73,8 +76,9 @@ def solve_observations(
     solved = solve(tracks, still, lenses, unit, max_offset_s, seed)
     if isinstance(solved, Rejected):
         return solved
-    frame = find_frame(solved.names, solved.adjusted, placements, survey, max_offset_s * unit)
-    return _result(observations, shifted, lenses, solved, frame)
+    frame = find_frame(solved.names, solved.adjusted, placements, surveyed, max_offset_s * unit)
+    poses = _result(observations, shifted, lenses, solved, frame)
+    return scaled_by_distances(poses, placements, survey or Survey())
 
 
 def _with_intrinsics(lens: Lens) -> Lens:

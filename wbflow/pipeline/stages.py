@@ -299,6 +299,7 @@ STAGES: tuple[Stage, ...] = (
             "lenses": site("lens", of="cameras"),
             "placements": site("placement", of="cameras"),
             "thing_survey": site("thing_survey"),
+            "survey": site("survey"),
         },
         optional=_has_observations,
         products=Products({"view": "wbflow_stages.exports.view:track_view"}, title="How observations place the cameras"),

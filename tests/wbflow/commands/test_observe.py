@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from wbflow.site.load import load_site
 from wbflow_stages.types import Observations, Sightings, ThingSurvey
 
 CAMERAS = ["gate", "roof", "mast"]
+ROLEX = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[4] / "shared" / "data") / "rolex"
 ROWS = "frame,camera,x,y\n0,gate,1,2\n0,roof,3,4\n1,gate,5,6\n1,mast,7,8\n"
 LENS = {"fx": 50, "fy": 50, "cx": 32, "cy": 24, "width": 64, "height": 48}
 
@@ -201,3 +203,21 @@ def test_recordings_that_show_nothing_change_nothing(site: ToySite, recorder: di
     result = observe(site, str(site.folder / "walk"))
     assert result.exit_code == UsageError.exit_code and "no recording shows a lamp" in result.output
     assert site.file.read_bytes() == before and not (site.folder / "observations.csv").exists()
+
+
+@pytest.mark.skipif(not (ROLEX / "drone.csv").exists(), reason="needs the data of rolex: set WBFLOW_DATA")
+def test_a_drone_places_five_cameras_that_share_no_texture(tmp_path: Path) -> None:
+    (tmp_path / "site.yaml").write_text(
+        f"site: rolex\ncaptures: {{root: '{ROLEX}/images', pattern: '{{camera}}.jpg'}}\n"
+        f"cameras: [cam0, cam1, cam2, cam3, cam4]\ncalibration: '{ROLEX}/cameras.json'\n"
+        f"observations: '{ROLEX}/drone.csv'\nsurvey: '{ROLEX}/gps.csv'\n"
+    )
+    result = CliRunner().invoke(main, ["observe", str(tmp_path), "--json"])
+    assert result.exit_code == 0, result.output
+    data = json.loads(result.stdout)
+    assert all(camera["reason"] == "" for camera in data["cameras"].values()) and len(data["cameras"]) == 5
+    assert data["reprojection_px"] < 3 and data["survey_m"] < 0.9 and data["metric"]
+    found = read_calibration(Path(data["calibration"]))
+    centres = np.array([entry.placement.C for entry in found.values()])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)[np.triu_indices(5, 1)]
+    assert apart.min() > 30 and apart.max() < 140  # 40 to 126 m, by the drone's own receiver
