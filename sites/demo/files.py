@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wbflow_stages.types import Cloud
+from wbflow_stages.types import Cloud, Float64s
 
 from .nights import CameraNights, Extent, NightsSite, yard_nights
 from .render.cameras import VARIANTS, choose_mounts
@@ -101,6 +101,12 @@ def scene_files(site: DemoSite, scene: str, light: str, lenses: str, has_poses: 
     yield "site.yaml", site_file.encode()
 
 
+GPS_SIGMA_M = 0.02
+"""Standard deviation of a coordinate of the receiver that is carried with the lamp."""
+GPS_STEP = 5
+"""Tenths of a second between its places."""
+
+
 def _walk_files(shots: Shots) -> Iterator[File]:
     """Yield the recordings of a walk through the yard, and its truth."""
     truth: dict[str, Any] = {"unit": "m"}
@@ -110,10 +116,21 @@ def _walk_files(shots: Shots) -> Iterator[File]:
         yield f"walk/{recording.light}/{recording.camera}.mp4", recording.video
         truth[recording.light]["clock_s"][recording.camera] = recording.clock_s
     times = np.arange(-MOST_CLOCK_S, SECONDS + MOST_CLOCK_S, 0.1)
-    for light in WALKS:
+    for k, light in enumerate(WALKS):
         rows = np.column_stack([times, lamp_places(times, light)])
         truth[light]["seconds_x_y_z"] = np.round(rows, 4).tolist()
+        # the receiver on the lamp's pole
+        measured = rows[:, 1:] + np.random.default_rng([shots.seed, 7, k]).normal(0, GPS_SIGMA_M, (len(rows), 3))
+        yield f"walk/{light}.csv", _survey_table(times[::GPS_STEP], measured[::GPS_STEP])
     yield "truth/walk.json", json_bytes(truth)
+
+
+def _survey_table(times: Float64s, places: Float64s) -> bytes:
+    """Return a table for `survey:` of places (n, 3), metres, at times (n,), seconds."""
+    lines = ["time,x,y,z,sigma"]
+    for time, (x, y, z) in zip(times.tolist(), places.tolist(), strict=True):
+        lines.append(f"{time:.1f},{x:.3f},{y:.3f},{z:.3f},{GPS_SIGMA_M}")
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _cameras_and_reference(

@@ -7,6 +7,7 @@ import io
 import json
 import os
 from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -15,8 +16,10 @@ import numpy.typing as npt
 import pytest
 
 from tests.helpers.videos import video
+from wbflow_stages.core.rotations import angle_between_deg
+from wbflow_stages.observed_poses import solve_observations
 from wbflow_stages.recordings import observe_recordings
-from wbflow_stages.types import Float64s, Lens, Sightings, Uint8s
+from wbflow_stages.types import Float64s, Lens, ObservedPoses, Placement, Sightings, Uint8s
 
 DESK = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[4] / "shared" / "data") / "desk"
 WIDTH, HEIGHT, FRAMES = 640, 480, 6
@@ -191,8 +194,8 @@ def test_a_wrong_board_is_said() -> None:
         found(np.full((160, 240), 255, np.uint8), columns=6, rows=4, marker=0.75 * SQUARE, dictionary="5X5_100")
 
 
-@pytest.mark.skipif(not DESK.exists(), reason="needs shared/data/desk")
-def test_corners_of_a_turned_board_on_a_desk_agree_with_the_cameras_that_are_known() -> None:
+def desk() -> tuple[Sightings, dict[str, Lens], dict[str, dict[str, list[float]]]]:
+    """What the recordings of a desk show, the lenses, and the cameras that are known."""
     stated = json.loads((DESK / "cameras.json").read_text())
     times: dict[str, list[float]] = {}
     for row in csv.DictReader((DESK / "times.csv").open()):
@@ -205,6 +208,34 @@ def test_corners_of_a_turned_board_on_a_desk_agree_with_the_cameras_that_are_kno
         times={name: np.array(each) for name, each in times.items()},
         lenses=lenses,
     )
+    return sightings, lenses, stated
+
+
+@pytest.mark.skipif(not DESK.exists(), reason="needs shared/data/desk")
+@pytest.mark.xfail(
+    strict=True,
+    reason="up to 0.9 degrees and 4 cm from them: the solver takes cam1 for 0.1 s late, and three focal lengths for off; "
+    "the known cameras were perhaps solved as if frames of one number were taken at once",
+)
+def test_the_board_on_the_desk_gives_the_known_cameras() -> None:
+    sightings, lenses, stated = desk()
+    placements = {name: Placement() for name in stated}
+    solved = solve_observations(sightings.observations, lenses, placements, sightings.survey)
+    assert isinstance(solved, ObservedPoses)
+    names = list(stated)
+    for first, second in combinations(names, 2):
+        R1, R2 = solved.placements[first].R, solved.placements[second].R
+        C1, C2 = solved.placements[first].C, solved.placements[second].C
+        assert R1 is not None and R2 is not None and C1 is not None and C2 is not None
+        known = np.array(stated[second]["R"]) @ np.array(stated[first]["R"]).T
+        assert angle_between_deg(R2 @ R1.T, known) < 0.3
+        length = float(np.linalg.norm(np.array(stated[second]["C"]) - np.array(stated[first]["C"])))
+        assert float(np.linalg.norm(C2 - C1)) == pytest.approx(length, abs=0.01)
+
+
+@pytest.mark.skipif(not DESK.exists(), reason="needs shared/data/desk")
+def test_corners_of_a_turned_board_on_a_desk_agree_with_the_cameras_that_are_known() -> None:
+    sightings, _, stated = desk()
     observed = sightings.observations
     assert len(observed.time) > 2000
     errors = []
