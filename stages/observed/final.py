@@ -175,12 +175,13 @@ def _finally(tracks: Sequence[Track], still: Bools, model: GrownModel, limits: L
 def halves(solved: Solved) -> tuple[float, float] | None:
     """Largest distance (model) and angle (degrees) of a camera between the solutions from two halves; None if one is too small.
 
-    The halves are alternating stretches of time; both start from the full solution.
+    The halves are alternating stretches of time; both start from the full solution, with its lenses.
     """
     adjusted = solved.adjusted
     moments = adjusted.moments
     tracks = [solved.tracks[name] for name in solved.names]
-    priors = [solved.limits.prior(k, k == 0) for k in range(len(tracks))]
+    limits = replace(solved.limits, focal_sigmas=np.zeros(len(tracks)))
+    priors = [limits.prior(k, k == 0) for k in range(len(tracks))]
     block = _blocks(moments)
     states = []
     for parity in (0, 1):
