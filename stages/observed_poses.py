@@ -124,6 +124,9 @@ def _result(
     state = adjusted.state
     similarity = frame.similarity
     spread = covariances(adjusted)
+    apart = halves(solved, spread)
+    if apart is not None:
+        spread = Covariances(spread.blocks * apart.excess)
     placements = {}
     figures = {}
     focal_scales = {}
@@ -140,8 +143,6 @@ def _result(
         count = int((observations.camera == observations.cameras.index(name)).sum())
         figures[name] = ObservedCamera(observations=count, reason=reason)
     used = adjusted.used
-    apart = halves(solved)
-    halves_m, halves_deg = (None, None) if apart is None else (apart[0] * similarity.scale, apart[1])
     seen = used.sum(axis=0) >= 2
     return ObservedPoses(
         placements=placements,
@@ -151,8 +152,8 @@ def _result(
         things=int(seen.sum()),
         reprojection_px=float(np.median(adjusted.residual.pixels[used])),
         survey_m=frame.survey_m,
-        halves_m=halves_m,
-        halves_deg=halves_deg,
+        halves_m=None if apart is None else apart.distance * similarity.scale,
+        halves_deg=None if apart is None else apart.degrees,
         metric=frame.metric,
         scale=frame.scale,
         time_unit=observations.time_unit,

@@ -15,7 +15,7 @@ from .growth import GrownModel, Limits, common_counts, grow
 from .hypotheses import LEAST_COMMON
 from .lines import sees_a_line
 from .tracks import Moments, Track, choose_moments, seen_by
-from .uncertainty import covariances
+from .uncertainty import Covariances, covariances
 
 MOST_MOMENTS = 6000
 """Most moments of the final adjustment."""
@@ -108,8 +108,9 @@ def solve(
     adjusted = model.adjusted
     off = []
     if len(placed) >= LEAST_CHECKED:
-        adjusted = _finally(chosen, still, model, replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA)))
-        off = [k for k in _wrong_lenses(adjusted) if lenses[placed[k]].hfov_deg is None]
+        free = replace(limits, focal_sigmas=np.full(len(placed), LENS_SIGMA))
+        adjusted = _finally(chosen, still, model, free)
+        off = [k for k in _wrong_lenses(chosen, adjusted, free) if lenses[placed[k]].hfov_deg is None]
 
     # 3. And with the others as stated.
     guessed = [k for k, name in enumerate(placed) if lenses[name].hfov_deg is not None]
@@ -146,14 +147,27 @@ def _in_order(model: GrownModel) -> GrownModel:
     return replace(model, cameras=cameras, adjusted=replace(model.adjusted, state=ordered))
 
 
-def _wrong_lenses(adjusted: Adjusted) -> list[int]:
-    """The cameras whose focal length is clearly off."""
+def _wrong_lenses(tracks: Sequence[Track], adjusted: Adjusted, limits: Limits) -> list[int]:
+    """The cameras whose focal length is clearly off.
+
+    Two halves of the observations show by how much focal lengths vary for reasons that no covariance knows of: a board that
+    bends, rows that are exposed one after another, a thing that is tracked at one side.
+    """
     spread = covariances(adjusted)
-    off = []
-    for k, log_focal in enumerate(adjusted.state.log_focal):
-        if abs(log_focal) > max(LEAST_FOCAL_CHANGE, FOCAL_DEVIATIONS * spread.focal_sigma(k)):
-            off.append(k)
-    return off
+    sigma = np.array([spread.focal_sigma(k) for k in range(len(tracks))])
+    half_states = _half_states(tracks, adjusted, limits)
+    if half_states is None:
+        return []
+    difference = half_states[0].log_focal - half_states[1].log_focal
+    # a half has twice the variance of the whole, and the difference of two halves four times that
+    sigma = sigma * _excess(difference**2 / (4 * sigma**2)) ** 0.5
+    limit = np.maximum(LEAST_FOCAL_CHANGE, FOCAL_DEVIATIONS * sigma)
+    return [int(k) for k in np.flatnonzero(np.abs(adjusted.state.log_focal) > limit)]
+
+
+def _excess(squares: Float64s) -> float:
+    """Factor of variances, from squares that are 1 on average where these are right; never less than 1."""
+    return max(1.0, float(np.mean(squares)))
 
 
 def _seconds(tracks: Sequence[Track], unit: float) -> float:
@@ -172,15 +186,39 @@ def _finally(tracks: Sequence[Track], still: Bools, model: GrownModel, limits: L
     return adjusted
 
 
-def halves(solved: Solved) -> tuple[float, float] | None:
-    """Largest distance (model) and angle (degrees) of a camera between the solutions from two halves; None if one is too small.
+@dataclass(frozen=True)
+class Halves:
+    """How the solutions from two halves of the observations agree: alternating stretches of time."""
 
-    The halves are alternating stretches of time; both start from the full solution, with its lenses.
+    distance: float
+    """Largest distance of a camera between the two, in the frame of the model."""
+    degrees: float
+    """Largest angle of a camera between the two."""
+    excess: float
+    """Factor by which variances of poses are larger than the covariance says, at least 1."""
+
+
+def halves(solved: Solved, spread: Covariances) -> Halves | None:
+    """Solve from two halves; both start from the full solution, with its lenses.  None if a half is too small.
+
+    spread: the covariances of the full solution.
     """
-    adjusted = solved.adjusted
-    moments = adjusted.moments
     tracks = [solved.tracks[name] for name in solved.names]
-    limits = replace(solved.limits, focal_sigmas=np.zeros(len(tracks)))
+    held = replace(solved.limits, focal_sigmas=np.zeros(len(tracks)))
+    half_states = _half_states(tracks, solved.adjusted, held)
+    if half_states is None:
+        return None
+    distances, degrees = _apart(*half_states)
+    squares = []
+    for k in range(len(tracks)):
+        squares.append(distances[k] ** 2 / (4 * float(np.trace(spread.centre(k)))))
+        squares.append(np.deg2rad(degrees[k]) ** 2 / (4 * float(np.trace(spread.turn(k)))))
+    return Halves(float(distances.max()), float(degrees.max()), _excess(np.array(squares)))
+
+
+def _half_states(tracks: Sequence[Track], adjusted: Adjusted, limits: Limits) -> tuple[State, State] | None:
+    """The solutions from two halves of the moments; None if a camera has too few observations in one of them."""
+    moments = adjusted.moments
     priors = [limits.prior(k, k == 0) for k in range(len(tracks))]
     block = _blocks(moments)
     states = []
@@ -191,7 +229,7 @@ def halves(solved: Solved) -> tuple[float, float] | None:
             return None
         start = replace(adjusted.state, X=adjusted.state.X[rows])
         states.append(adjust(tracks, moments.take(rows), start, priors, noise=(np.nan,) * 2).state)
-    return _apart(states[0], states[1])
+    return states[0], states[1]
 
 
 def _blocks(moments: Moments) -> Int64s:
@@ -201,12 +239,11 @@ def _blocks(moments: Moments) -> Int64s:
     return np.where(moments.is_still, moments.thing, by_time)
 
 
-def _apart(a: State, b: State) -> tuple[float, float]:
-    """Largest distance and angle between two solutions in the frame that brings their cameras closest."""
+def _apart(a: State, b: State) -> tuple[Float64s, Float64s]:
+    """Distance and angle in degrees of each camera between two solutions, in the frame that brings their cameras closest."""
     R = nearest_rotation(np.einsum("cji,cjk->ik", a.R, b.R))
     a_arm = a.C - a.C.mean(axis=0)
     b_arm = (b.C - b.C.mean(axis=0)) @ R.T
     scale = float(np.sum(a_arm * b_arm) / np.sum(b_arm**2))
-    distance = float(np.linalg.norm(a_arm - scale * b_arm, axis=1).max())
-    angles = [angle_between_deg(A, B @ R.T) for A, B in zip(a.R, b.R, strict=True)]
-    return distance, max(angles)
+    degrees = [angle_between_deg(A, B @ R.T) for A, B in zip(a.R, b.R, strict=True)]
+    return np.linalg.norm(a_arm - scale * b_arm, axis=1), np.array(degrees)
