@@ -36,6 +36,10 @@ DICTIONARIES = (
 """OpenCV's dictionaries of markers, without their prefix `DICT_`.  Each of 50, 100 or 250 is the beginning of that of 1000."""
 
 
+_LEAST_ALTERNATION = 0.5
+"""Least contrast of the outermost squares of a checkerboard, as a share of that of the others."""
+
+
 @dataclass(frozen=True)
 class Board:
     """The calibration board that was photographed."""
@@ -279,16 +283,49 @@ def detect_board(grey: Uint8s, board: Board) -> BoardView | None:
     size = board.columns, board.rows
     if min(size) < 3:
         return None
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    is_found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
-    if not is_found:
+    image = _checker_corners(grey, board)
+    if image is None:
         return None
     grid = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2) * board.square
     points = np.column_stack([grid, np.zeros(len(grid))]).astype(np.float32)
-    image = np.asarray(corners, np.float32).reshape(-1, 2)
     if _begins_white(grey, board, image):
         image = image[::-1].copy()
     return BoardView(np.arange(len(points), dtype=np.int32), points, image)
+
+
+def _checker_corners(grey: Uint8s, board: Board) -> Float32s | None:
+    """(n, 2) inner corners of a checkerboard in a picture; None if it is not found, or others were taken for them."""
+    size = board.columns, board.rows
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
+    for more in (0, cv2.CALIB_CB_EXHAUSTIVE):
+        is_found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags | more)
+        if not is_found:
+            return None
+        image = np.asarray(corners, np.float32).reshape(-1, 2)
+        if _alternates_outside(grey, board, image):
+            return image
+    return None
+
+
+def _alternates_outside(grey: Uint8s, board: Board, image: Float32s) -> bool:
+    """Do the squares beyond the outermost corners alternate as those within do?  At the board's own edge they don't.
+
+    The search may take a line of the board's edge for inner corners, and then has the board turned by a quarter.
+    """
+    corners = np.mgrid[0 : board.columns, 0 : board.rows].T.reshape(-1, 2).astype(np.float32)
+    H, _ = cv2.findHomography(corners, image)
+    if H is None:
+        return False
+    middles = np.mgrid[0 : board.columns + 1, 0 : board.rows + 1].T.astype(np.float32) - 0.5
+    places = cv2.perspectiveTransform(middles.reshape(-1, 1, 2), H).reshape(middles.shape).astype(np.float32)
+    levels = cv2.remap(grey, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    signs = np.where(np.indices(levels.shape).sum(axis=0) % 2, -1, 1)
+    contrast = (levels - np.median(levels)) * signs
+    within = float(contrast[1:-1, 1:-1].mean())
+    for line in (contrast[0], contrast[-1], contrast[:, 0], contrast[:, -1]):
+        if float(line.mean()) * within < _LEAST_ALTERNATION * within**2:
+            return False
+    return True
 
 
 def _begins_white(grey: Uint8s, board: Board, image: Float32s) -> bool:
