@@ -14,6 +14,7 @@ from .stereo.matcher import DenseMatches, RectifiedPair
 from .stereo.rectified import rectified_pair, with_coarse_range
 from .stereo.y_parallax import measure_y_parallax
 from .types import INVALID, Disparity, Float32s, Frame, Int16s, Rectification, RowMatches, Uint8s
+from .types.checking import require
 
 MATCHERS = {
     "patchmatch": "wbflow_stages.stereo.patchmatch:match_patchmatch",
@@ -44,7 +45,8 @@ def match_dense(
 ) -> Disparity | Rejected:
     """Match every pixel of the two rectified images.
 
-    Raises ValueError for an unknown matcher, TypeError for a parameter that the matcher does not have.
+    Raises ValueError for an argument of a wrong type or an unknown matcher, TypeError for a parameter that the matcher does
+    not have.
 
     Parameters
     ----------
@@ -62,6 +64,8 @@ def match_dense(
 
     References: Hirschmueller, PAMI 2008; Bleyer et al., BMVC 2011.
     """
+    require(Frame, left=left, right=right)
+    require(Rectification, rectification=rectification)
     if rectification.disparity_max_px - rectification.disparity_min_px > _WIDEST_RANGE_PX:
         return Rejected(Reason.RANGE_TOO_WIDE, {"disparity_max_px": rectification.disparity_max_px})
     pair = with_coarse_range(rectified_pair(left, right, rectification))

@@ -7,6 +7,7 @@ import numpy as np
 from .contracts.reasons import Reason, Rejected
 from .core.methods import bind
 from .types import LEARNED, PLAIN, Capture, Features, Frame
+from .types.checking import require
 
 DETECTORS = {
     "sift": "wbflow_stages.matching.sift:detect_sift",
@@ -22,7 +23,8 @@ def detect(
 ) -> Features | Rejected:
     """Detect and describe the keypoints of a frame.
 
-    Raises ValueError for an unknown detector or a missing model, TypeError for a parameter that the detector does not have.
+    Raises ValueError for an argument of a wrong type, an unknown detector or a missing model, TypeError for a parameter that the
+    detector does not have.
 
     Parameters
     ----------
@@ -34,6 +36,7 @@ def detect(
     min_keypoints : reject the frame if it has fewer, without those of the compressed view and of the turned picture.
     options : parameters of the detector, see its function.
     """
+    require(Frame, frame=frame)
     inputs = {"frame": frame, "model": model}
     features: Features = bind(DETECTORS, detector, inputs, options, Features)()
     count = int(np.isin(features.tilts, (PLAIN, LEARNED)).sum())

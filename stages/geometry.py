@@ -30,6 +30,7 @@ from .twoview.robust import (
     supporters,
 )
 from .types import Features, Float64s, Geometry, Matches, View, at_rows
+from .types.checking import require
 
 ESSENTIAL_SUPPORT = 0.7
 """E is kept if it has at least this share of the inliers of F.  F has two more degrees of freedom: enough to also fit matches
@@ -66,6 +67,7 @@ def estimate_geometry(
     """Estimate the epipolar geometry of a pair and decide whether it can be used.
 
     Returns `Rejected`, with figures, for too few or too clustered inliers, a planar scene, a pure rotation, or wrong matches.
+    Raises ValueError for an argument of a wrong type.
 
     Parameters
     ----------
@@ -85,6 +87,8 @@ def estimate_geometry(
 
     References: Hartley & Zisserman, Multiple View Geometry, 2nd ed., chapters 9 to 11.
     """
+    require(Matches, matches=matches)
+    require(Features, left=left, right=right)
     options = _Options(threshold_px, use_intrinsics, seed)
     if matches.i1 is not None:
         matches = replace(matches, searched=searched_view_pairs(matches, left, right))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from .contracts.reasons import Reason, Rejected
 from .core.methods import bind
 from .types import Features, Frame, Matches
+from .types.checking import require
 
 MATCHERS = {
     "structural": "wbflow_stages.matching.structural:match_structural",
@@ -34,7 +35,8 @@ def match(
 ) -> Matches | Rejected:
     """Find corresponding points of two frames, before any geometry.
 
-    Raises ValueError for an unknown matcher or missing frames, TypeError for a parameter that the matcher does not have.
+    Raises ValueError for an argument of a wrong type, an unknown matcher or missing frames, TypeError for a parameter that the
+    matcher does not have.
 
     Parameters
     ----------
@@ -50,6 +52,7 @@ def match(
 
     References: W. Hao, wide-baseline stereo, 2011, chapter 3.
     """
+    require(Features, left=left, right=right)
     inputs = {"left": left, "right": right, "left_frame": left_frame, "right_frame": right_frame}
     matches: Matches | Rejected = bind(MATCHERS, matcher, inputs, options, Matches | Rejected)()
     if isinstance(matches, Rejected):

@@ -29,6 +29,7 @@ from .stereo.row_verification import verify_rows
 from .twoview.intrinsics_prior import MOST_IMPLAUSIBLE
 from .twoview.pair_score import hardly_converging
 from .types import Bools, Camera, Float32s, Float64s, Frame, Geometry, GroundOfPair, PairCheck, Rectification, Scene
+from .types.checking import require
 
 METHODS = {
     "congruent": "wbflow_stages.rectification.planar:congruent",
@@ -85,7 +86,8 @@ def rectify(
 
     Known cameras determine the rows.  Matches that agree with them determine scale, crop and disparity range, together with
     the ground if it is known; if they are too few, points of the likely scene are used, and dense matching must confirm the
-    rows.  Raises ValueError for an unknown method or missing cameras, TypeError for a parameter that the method does not have.
+    rows.  Raises ValueError for an argument of a wrong type, an unknown method or missing cameras, TypeError for a parameter that
+    the method does not have.
 
     Parameters
     ----------
@@ -110,6 +112,8 @@ def rectify(
 
     References: Hartley, IJCV 1999; Fusiello et al., MVA 2000; Pollefeys et al., ICCV 1999.
     """
+    require(Geometry | None, geometry=geometry)
+    require(Camera | None, left=left, right=right)
     if geometry is not None and left is not None and right is not None:
         geometry = replace(geometry, x1=undistorted_points(left, geometry.x1), x2=undistorted_points(right, geometry.x2))
 

@@ -103,6 +103,30 @@ def check_result(result: object, function: str, wanted: Any, lengths: Mapping[st
         raise TypeError(f"{function} returned a wrong {type(result).__name__}: {fault}")
 
 
+HOW_TO_GET = {
+    "Frame": "read_frame(PATH) or Frame.from_image(PIXELS)",
+    "Features": "detect(frame)",
+    "Matches": "match(left, right)",
+    "Geometry": "estimate_geometry(matches, left, right)",
+    "Rectification": "rectify(geometry)",
+}
+"""The call that gives an object of each type, for messages."""
+
+
+def require(wanted: Any, **arguments: object) -> None:
+    """Raise ValueError, with what to pass, if an argument is of another type; a result that was rejected says why it was.
+
+    wanted: a type or a union of types; arguments: values by name.
+    """
+    for name, value in arguments.items():
+        if isinstance(value, Rejected):
+            raise ValueError(f"{name} was rejected: {value.reason}")
+        if not _fits(value, wanted):
+            calls = [HOW_TO_GET[kind] for kind in _named(wanted).split(" or ") if kind in HOW_TO_GET]
+            how = f": {' or '.join(calls)} gives one" if calls else ""
+            raise ValueError(f"{name} is a {_named(type(value))}; {_named(wanted)} is needed{how}")
+
+
 def fault_in(result: object, lengths: Mapping[str, int] | None = None) -> str:
     """The first fault in an object of the vision, as "x1 is float32 (12, 2); float64 (n, 2) is needed"; "" if there is none.
 

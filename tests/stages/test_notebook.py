@@ -57,6 +57,21 @@ def test_going_on_with_a_rejected_result_says_why_there_is_none() -> None:
     assert pickle.loads(pickle.dumps(rejected)) == rejected
 
 
+def test_an_argument_of_a_wrong_type_is_named_with_what_gives_the_right_one(folder: Path) -> None:
+    frame = wb.read_frame(folder / "left.png", resolution=320)
+    features = wb.usable(wb.detect(frame))
+    with pytest.raises(ValueError, match=r"frame is a str; Frame is needed: read_frame\(PATH\)"):
+        wb.detect(str(folder / "left.png"))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"left is a Frame; Features is needed: detect\(frame\) gives one"):
+        wb.match(frame, features)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"matches is a Features; Matches is needed: match\(left, right\) gives one"):
+        wb.estimate_geometry(features, features, features)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="geometry is a Features; Geometry or None is needed"):
+        wb.rectify(features)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="rectification is a str; Rectification is needed"):
+        wb.match_dense(frame, frame, "rows")  # type: ignore[arg-type]
+
+
 def test_stages_are_functions_even_after_importing_their_modules() -> None:
     code = (
         "import wbflow_stages as wb, sys\n"
