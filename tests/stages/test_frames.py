@@ -86,7 +86,7 @@ def test_a_field_of_view_gives_a_guess_of_the_focal_length() -> None:
     ("damage", "kind", "words"),
     [
         (lambda data: data[:0], EmptyCapture, "is empty"),
-        (lambda data: np.frombuffer(b"<html>not found</html>" * 40, np.uint8), NotAnImage, "no image"),
+        (lambda data: np.frombuffer(b"<html>not found</html>" * 40, np.uint8), NotAnImage, "a web page, not a picture"),
         (lambda data: data[:1000], TruncatedImage, r"ends after 1,000 bytes: the image is truncated"),
         (lambda data: data[: len(data) // 2], TruncatedImage, "truncated"),
     ],
