@@ -269,13 +269,6 @@ def rolex() -> ObservedPoses:
     return result
 
 
-def test_a_drone_places_five_cameras_that_share_no_texture(rolex: ObservedPoses) -> None:
-    assert len(rolex.placements) == 5
-    assert rolex.metric
-    assert rolex.reprojection_px is not None and rolex.reprojection_px < 3
-    assert rolex.survey_m is not None and rolex.survey_m < 0.9
-
-
 @pytest.mark.xfail(strict=True, reason="measured: 5.9 cm and 0.061 degrees")
 def test_halves_of_the_flight_agree_within_5_cm(rolex: ObservedPoses) -> None:
     assert rolex.halves_m is not None and rolex.halves_deg is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import json
 import os
@@ -19,7 +20,7 @@ from tests.helpers.videos import video
 from wbflow_stages.core.rotations import angle_between_deg
 from wbflow_stages.observed_poses import solve_observations
 from wbflow_stages.recordings import observe_recordings
-from wbflow_stages.types import Float64s, Lens, ObservedPoses, Placement, Sightings, Uint8s
+from wbflow_stages.types import Float64s, Lens, ObservedPoses, Sightings, Uint8s
 
 DESK = Path(os.environ.get("WBFLOW_DATA") or Path(__file__).resolve().parents[4] / "shared" / "data") / "desk"
 WIDTH, HEIGHT, FRAMES = 640, 480, 6
@@ -194,6 +195,7 @@ def test_a_wrong_board_is_said() -> None:
         found(np.full((160, 240), 255, np.uint8), columns=6, rows=4, marker=0.75 * SQUARE, dictionary="5X5_100")
 
 
+@functools.cache  # three tests look at it
 def desk() -> tuple[Sightings, dict[str, Lens], dict[str, dict[str, list[float]]]]:
     """What the recordings of a desk show, the lenses, and the cameras that are known."""
     stated = json.loads((DESK / "cameras.json").read_text())
@@ -211,6 +213,15 @@ def desk() -> tuple[Sightings, dict[str, Lens], dict[str, dict[str, list[float]]
     return sightings, lenses, stated
 
 
+@functools.cache
+def desk_cameras() -> ObservedPoses:
+    """The cameras as the board places them."""
+    sightings, lenses, _ = desk()
+    solved = solve_observations(sightings.observations, lenses, {}, sightings.survey)
+    assert isinstance(solved, ObservedPoses)
+    return solved
+
+
 @pytest.mark.skipif(not DESK.exists(), reason="needs shared/data/desk")
 @pytest.mark.xfail(
     strict=True,
@@ -218,10 +229,8 @@ def desk() -> tuple[Sightings, dict[str, Lens], dict[str, dict[str, list[float]]
     "0.5 px; the known cameras were perhaps solved as if frames of one number were taken at once",
 )
 def test_the_board_on_the_desk_gives_the_known_cameras() -> None:
-    sightings, lenses, stated = desk()
-    placements = {name: Placement() for name in stated}
-    solved = solve_observations(sightings.observations, lenses, placements, sightings.survey)
-    assert isinstance(solved, ObservedPoses)
+    _, _, stated = desk()
+    solved = desk_cameras()
     names = list(stated)
     for first, second in combinations(names, 2):
         R1, R2 = solved.placements[first].R, solved.placements[second].R
@@ -235,9 +244,7 @@ def test_the_board_on_the_desk_gives_the_known_cameras() -> None:
 
 @pytest.mark.skipif(not DESK.exists(), reason="needs shared/data/desk")
 def test_lenses_are_not_blamed_for_a_board_that_is_turned_by_hand() -> None:
-    sightings, lenses, _ = desk()
-    solved = solve_observations(sightings.observations, lenses, {}, sightings.survey)
-    assert isinstance(solved, ObservedPoses)
+    solved = desk_cameras()
     assert len(solved.placements) == 4
     assert all(camera.focal_change is None for camera in solved.cameras.values())
     assert solved.reprojection_px is not None and solved.reprojection_px < 0.5
