@@ -18,7 +18,8 @@ from wbflow_stages.types import Bools, Float64s, Lens, Observations, ObservedPos
 
 
 def make_scene(seed: int, cameras: int = 4, path: str = "flight", spread_deg: float = 120, **recorded: float) -> ObservedScene:
-    """Cameras on an arc around a moving thing, 15 m away."""
+    """Cameras on an arc around a moving thing, 15 m away, for a minute unless `recorded` says otherwise."""
+    recorded.setdefault("seconds", 60.0)
     rng = np.random.default_rng(seed)
     ring = camera_ring(cameras, 15, spread_deg, rng)
     lenses = {name: plain_lens() for name in ring}
