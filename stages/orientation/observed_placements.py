@@ -58,8 +58,8 @@ class KnownPlaces:
 def with_observed(views: Mapping[str, View], placements: Mapping[str, Placement], observed: ObservedPoses | None) -> KnownPlaces:
     """The stated placements, completed by those that observations have determined.
 
-    An exact stated pose is kept: the observations were solved in its frame.  Any other statement was a prior of theirs, so their
-    result replaces it.
+    An exact stated pose is kept: the observations were solved in its frame.  Any other statement has only placed that frame, and
+    is less exact than what they determine, which replaces it.
 
     Parameters
     ----------
